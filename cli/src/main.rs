@@ -1,0 +1,3 @@
+//! The `graspd` command: each subcommand a thin call into a crate.
+
+fn main() {}

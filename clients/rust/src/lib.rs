@@ -1,0 +1,1 @@
+//! A typed client of graspd with the documented retries.

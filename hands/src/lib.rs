@@ -1,0 +1,25 @@
+//! Robotic hands: descriptions, URDF loading, kinematics, actuation, contact pads, collision geometry.
+//!
+//! A hand is two files, `hand.urdf` and `hand.toml` (and meshes where the URDF names them). This crate
+//! turns their *contents* into a validated, immutable [`Hand`]; it never touches a file system: callers
+//! hand over bytes as [`HandFiles`]. The paper's hands and a few more are compiled in, see [`library`].
+//!
+//! Frames: the *hand frame* is the URDF's root link. Lengths are metres, angles radians.
+
+mod actuation;
+mod collision;
+mod error;
+mod files;
+mod hand;
+mod kinematics;
+mod pad;
+
+pub mod library;
+
+pub use actuation::{Actuation, Coordinate, CoordinateKind, JointRow, SoftCoupling};
+pub use collision::{CollisionShape, CollisionSphere, Shape};
+pub use error::HandError;
+pub use files::HandFiles;
+pub use hand::{Finger, Hand, Opening};
+pub use kinematics::{Body, Joint, JointKind, Link, Tree};
+pub use pad::{ContactCandidate, Pad};

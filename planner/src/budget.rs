@@ -1,0 +1,36 @@
+//! Time and cancellation, passed in: the planner has no clock of its own.
+
+use std::time::Duration;
+
+/// Why planning has to stop before its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stop {
+    /// The time is used up: return the best so far.
+    Deadline,
+    /// Nobody waits for the answer any more: return quickly, the result is thrown away.
+    Cancelled,
+}
+
+/// What the planner asks while it works; called from several threads, at least every iteration of every
+/// candidate, so it must be cheap.
+pub trait Budget: Sync {
+    /// Time since the call began, for stage durations. May stand still (then durations are zero).
+    fn elapsed(&self) -> Duration;
+
+    /// `Some` once work has to stop.
+    fn stop(&self) -> Option<Stop>;
+}
+
+/// Never stops and has no clock.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Unlimited;
+
+impl Budget for Unlimited {
+    fn elapsed(&self) -> Duration {
+        Duration::ZERO
+    }
+
+    fn stop(&self) -> Option<Stop> {
+        None
+    }
+}

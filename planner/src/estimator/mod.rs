@@ -1,0 +1,1 @@
+//! Contact estimation: from an observed volume to a contact field.

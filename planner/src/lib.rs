@@ -1,0 +1,22 @@
+//! From depth frames to ranked grasps: the planning pipeline as pure functions.
+//!
+//! Data flows one way, and each stage is a module:
+//!
+//! [`frame`] → [`volume`] (placed by [`workspace`]) → [`estimator`] gives a [`contact_field`] → [`refine`]
+//! gives features → initialization, optimization and ranking give grasps.
+//!
+//! No sockets, no files, no clock: time and cancellation come in through a [`budget::Budget`] that is
+//! asked. Everything random is seeded; the same input gives the same output on any number of threads.
+//!
+//! Frames of reference: `world` (the caller's), `camera` (optical: x right, y down, z forward), `volume`
+//! (origin at the cube's corner, z up), `hand` (the URDF's root link). `a_from_b` takes coordinates in b
+//! to coordinates in a. Units are SI.
+
+pub mod budget;
+pub mod contact_field;
+pub mod estimator;
+pub mod frame;
+pub mod grid;
+pub mod refine;
+pub mod volume;
+pub mod workspace;

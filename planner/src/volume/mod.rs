@@ -1,0 +1,1 @@
+//! The observed volume: what depth frames say about each voxel.

@@ -1,0 +1,1 @@
+//! The graspd.v1 protocol: .proto files and the code generated from them.

@@ -1,0 +1,1 @@
+//! The graspd gRPC service: wire and domain conversion, planning pool, hand registry.
