@@ -77,11 +77,12 @@ pub(crate) fn net_wrench(contacts: &mut Contacts, center: &Vector3<f64>, length:
     let mut total = 0.0;
     for i in 0..n {
         let look = &contacts.look[i];
-        let w = look.certainty() * contacts.normal[i].dot(&look.inward()).max(0.0);
+        let w = look.certainty().max(0.0) * contacts.normal[i].dot(&look.inward()).max(0.0);
         contacts.push[i] = w;
         total += w;
     }
     if total < 1e-6 {
+        contacts.push.fill(0.0);
         return 0.0;
     }
     let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());

@@ -225,8 +225,8 @@ fn gradient_error(seed: u64, select: impl Fn(&mut Weights)) -> f64 {
 
 fn net_wrench_with(contacts: &Contacts, push: &[f64], centroid: &CenteredCentroid, w: &Weights) -> f64 {
     let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
-    for i in 0..contacts.len() {
-        let f = contacts.normal[i] * push[i];
+    for (i, share) in push.iter().enumerate() {
+        let f = contacts.normal[i] * *share;
         force += f;
         torque += (contacts.point[i] - centroid.position.coords).cross(&f) / w.characteristic_length_m;
     }

@@ -63,13 +63,13 @@ pub(crate) fn all_rejected(
 ) -> NoGrasp {
     let narrowest = narrowest_pair(features, objective);
     let opening = objective.model.hand.opening.map(|o| o.max_m);
-    if let (Some(narrowest), Some(widest)) = (narrowest, opening) {
-        if narrowest > widest {
-            return NoGrasp {
-                reason: EmptyReason::HandTooSmall,
-                nearest_fix: format!("widest opening {widest:.3} m, narrowest contact pair {narrowest:.3} m"),
-            };
-        }
+    if let (Some(narrowest), Some(widest)) = (narrowest, opening)
+        && narrowest > widest
+    {
+        return NoGrasp {
+            reason: EmptyReason::HandTooSmall,
+            nearest_fix: format!("widest opening {widest:.3} m, narrowest contact pair {narrowest:.3} m"),
+        };
     }
     let total: usize = rejected.values().sum();
     let Some((&most, &count)) = rejected.iter().max_by_key(|(_, n)| **n) else {
