@@ -3,7 +3,7 @@
 use graspd_hands::Hand;
 use nalgebra::Isometry3;
 
-use crate::budget::Budget;
+use crate::budget::{Budget, Stop};
 use crate::grasp::{EmptyReason, NoGrasp, Plan, PlanStats};
 use crate::hand_model::HandModel;
 use crate::init::Initializer;
@@ -89,6 +89,9 @@ pub fn plan(
         }
     }
     let after_optimization = budget.elapsed();
+    if stats.stopped == Some(Stop::Cancelled) {
+        return Plan { stats, no_grasp: Some(out_of_time()), ..Plan::default() };
+    }
     let ranking = rank::rank(&judge, &batch.candidates);
     stats.candidates = batch.candidates.len();
     stats.iterations = batch.iterations_done();
@@ -102,11 +105,7 @@ pub fn plan(
 fn finish(ranking: Ranking, mut stats: PlanStats, batch: &Batch<'_>, judge: &Judge<'_>) -> Plan {
     let no_grasp = ranking.grasps.is_empty().then(|| {
         if batch.iterations_done() == 0 {
-            return NoGrasp {
-                reason: EmptyReason::OutOfTime,
-                nearest_fix:
-                    "the budget ended within the first iterations; allow more time or a smaller batch".into(),
-            };
+            return out_of_time();
         }
         let scene = judge.scene;
         rank::all_rejected(
@@ -120,6 +119,11 @@ fn finish(ranking: Ranking, mut stats: PlanStats, batch: &Batch<'_>, judge: &Jud
     stats.rejected = ranking.rejected;
     let trace = ranking.best.map_or_else(Vec::new, |i| batch.candidates[i].trace.clone());
     Plan { grasps: ranking.grasps, stats, no_grasp, trace }
+}
+
+fn out_of_time() -> NoGrasp {
+    let nearest_fix = "the budget ended within the first iterations; allow more time or a smaller batch";
+    NoGrasp { reason: EmptyReason::OutOfTime, nearest_fix: nearest_fix.into() }
 }
 
 fn obstacles<'a>(

@@ -66,6 +66,11 @@ impl Candidate {
         }
     }
 
+    /// False while not a single iteration has been done.
+    pub(crate) fn has_started(&self) -> bool {
+        self.iteration > 0
+    }
+
     /// Iterates up to iteration `until`; false when the budget stopped it before. Does not allocate.
     #[allow(clippy::too_many_arguments)] // the batch's shared parts, each by reference
     pub(crate) fn advance(

@@ -31,6 +31,9 @@ pub(crate) struct Batch<'a> {
     pub(crate) sizes: StepSizes,
     lengths: Vec<f64>,
     pub(crate) candidates: Vec<Candidate>,
+    /// Memory of one evaluation for every chunk of candidates that a thread takes at a time.
+    scratches: Vec<Scratch>,
+    chunk: usize,
     done: usize,
 }
 
@@ -43,12 +46,16 @@ impl<'a> Batch<'a> {
         sizes: StepSizes,
     ) -> Self {
         let options = initializer.options;
-        let candidates = (0..options.batch)
+        let candidates: Vec<Candidate> = (0..options.batch)
             .into_par_iter()
             .map(|i| Candidate::new(initializer, allowed, i, options.scheme.iterations, options.trace))
             .collect();
         let lengths = adam::lengths(objective.model, &sizes);
-        Self { objective, allowed, scheme: options.scheme, sizes, lengths, candidates, done: 0 }
+        // Four chunks a thread: candidates cost about the same, threads do not.
+        let chunk = candidates.len().div_ceil(4 * rayon::current_num_threads()).max(1);
+        let scratches = vec![Scratch::new(objective.model); candidates.len().div_ceil(chunk)];
+        let scheme = options.scheme;
+        Self { objective, allowed, scheme, sizes, lengths, candidates, scratches, chunk, done: 0 }
     }
 
     /// Iterations that every candidate has completed.
@@ -74,16 +81,14 @@ impl<'a> Batch<'a> {
         let until = (self.done + ROUND).min(self.scheme.iterations);
         let (objective, allowed, sizes) = (self.objective, self.allowed, &self.sizes);
         let (lengths, scheme) = (&self.lengths, self.scheme);
-        // A quarter of a thread's share at a time: candidates cost about the same, threads do not.
-        let share = self.candidates.len().div_ceil(4 * rayon::current_num_threads()).max(1);
         let complete = self
             .candidates
-            .par_chunks_mut(share)
-            .map(|chunk| {
-                let mut scratch = Scratch::new(objective.model);
-                chunk.iter_mut().all(|c| {
-                    c.advance(objective, allowed, sizes, lengths, scheme, until, budget, &mut scratch)
-                })
+            .par_chunks_mut(self.chunk)
+            .zip(&mut self.scratches)
+            .map(|(chunk, scratch)| {
+                chunk
+                    .iter_mut()
+                    .all(|c| c.advance(objective, allowed, sizes, lengths, scheme, until, budget, scratch))
             })
             .reduce(|| true, |a, b| a && b);
         if complete {

@@ -63,6 +63,9 @@ impl Judge<'_> {
     pub(crate) fn judge(&self, candidate: &Candidate, scratch: &mut Scratch) -> Result<Grasp, Rejection> {
         use RejectReason as R;
         let model = self.objective.model;
+        if !candidate.has_started() {
+            return Err(Rejection::new(R::Unfinished, 0.0));
+        }
         if !candidate.best.is_finite() || !candidate.terms.total.is_finite() {
             return Err(Rejection::new(R::Diverged, 0.0));
         }
