@@ -74,3 +74,52 @@ impl Initializer<'_> {
         self.centroids.last().map_or_else(Vector3::zeros, |c| c.position.coords)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+    use rand::SeedableRng;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    use super::*;
+    use crate::random_hand::random_hand;
+
+    #[test]
+    fn initial_configurations_are_as_note_4_says() {
+        let hand = random_hand(3);
+        let model = HandModel::new(&hand);
+        let centroids = [0.1, 0.3].map(|x| CenteredCentroid {
+            position: Point3::new(x, 0.2, 0.15),
+            weight: 0.5,
+            voxel_count: 1,
+            label: None,
+        });
+        let options = PlanOptions::default();
+        let initializer = Initializer {
+            model: &model,
+            centroids: &centroids,
+            options: &options,
+            world_from_volume: Isometry3::identity(),
+            view: Unit::new_unchecked(-Vector3::z()),
+        };
+        let rng = &mut Xoshiro256PlusPlus::seed_from_u64(9);
+        let mut kinematics = Kinematics::new(&model);
+        let mut chosen = [0usize; 2];
+        for _ in 0..200 {
+            let (configuration, reaching) = initializer.draw(rng);
+            let axis = configuration.rotation * model.approach;
+            assert!(axis.angle(&reaching) < INITIAL_CONE_RAD + 1e-9);
+            for (u, c) in configuration.coordinates.iter().zip(&hand.actuation.coordinates) {
+                let share = (u - c.open) / (c.closed - c.open);
+                assert!((0.0..=options.opening_fraction).contains(&share), "{share}");
+            }
+            kinematics.forward(&model, &configuration);
+            let mean = model.points.iter().map(|p| kinematics.point(p.body, &p.point)).sum::<Vector3<f64>>()
+                / model.points.len() as f64;
+            let target = mean + axis * hand.start_offset_m;
+            let which = centroids.iter().position(|c| (c.position.coords - target).norm() < 1e-9);
+            chosen[which.expect("the back-off starts at a centroid")] += 1;
+        }
+        assert!(chosen.iter().all(|&n| n > 60), "both centroids are drawn by their weight: {chosen:?}");
+    }
+}

@@ -26,6 +26,8 @@ pub mod optimize;
 pub mod options;
 mod orientation;
 pub mod plan;
+#[cfg(test)]
+mod random_hand;
 mod rank;
 pub mod refine;
 pub mod scene;

@@ -146,3 +146,68 @@ pub(crate) fn align(from: &Vector3<f64>, to: &Vector3<f64>) -> Rotation3<f64> {
     Rotation3::rotation_between(from, to)
         .unwrap_or_else(|| Rotation3::from_axis_angle(&perpendicular(from), std::f64::consts::PI))
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use rand::SeedableRng;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    use super::*;
+    use crate::random_hand::{direction, random_hand, vector};
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(128))]
+
+        #[test]
+        fn enforced_limits_hold(
+            seed in 0u64..1_000_000,
+            cone in 0.0..1.5f64,
+            low in -4.0..4.0f64,
+            width in 0.0..3.0f64,
+            with_roll: bool,
+        ) {
+            let rng = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
+            let hand = random_hand(seed);
+            let model = HandModel::new(&hand);
+            let reaching = direction(rng).into_inner();
+            let limits = OrientationLimits { cone_rad: cone, roll_rad: with_roll.then_some((low, low + width)) };
+            let allowed = Allowed::new(&limits, &Reaching::TopDown, &Isometry3::identity());
+            let mut configuration = Configuration {
+                translation: vector(rng, 0.1),
+                rotation: UnitQuaternion::from_scaled_axis(vector(rng, 2.0)),
+                coordinates: vec![0.0; model.coordinate_count],
+            };
+            let pivot = configuration.volume_from_hand() * nalgebra::Point3::from(model.pivot);
+            allowed.enforce(&model, &reaching, &mut configuration);
+            prop_assert!(allowed.holds(&model, &reaching, &configuration));
+            let after = configuration.volume_from_hand() * nalgebra::Point3::from(model.pivot);
+            prop_assert!((pivot - after).norm() < 1e-9, "the hand turns about its pivot");
+        }
+
+        #[test]
+        fn cone_samples_stay_in_the_cone(seed in 0u64..1_000_000, cone in 0.0..3.0f64) {
+            let rng = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
+            let axis = direction(rng).into_inner();
+            let sample = cone_sample(&axis, cone, rng);
+            prop_assert!((sample.norm() - 1.0).abs() < 1e-9);
+            prop_assert!(sample.angle(&axis) <= cone + 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_scara_only_yaws() {
+        let hand = random_hand(1);
+        let model = HandModel::new(&hand);
+        let limits = OrientationLimits { cone_rad: 0.0, roll_rad: None };
+        let allowed = Allowed::new(&limits, &Reaching::TopDown, &Isometry3::identity());
+        let rng = &mut Xoshiro256PlusPlus::seed_from_u64(5);
+        let mut configuration = Configuration {
+            translation: Vector3::zeros(),
+            rotation: UnitQuaternion::from_scaled_axis(vector(rng, 1.0)),
+            coordinates: vec![0.0; model.coordinate_count],
+        };
+        allowed.enforce(&model, &-Vector3::z(), &mut configuration);
+        assert!((configuration.rotation * model.approach + Vector3::z()).norm() < 1e-9);
+    }
+}
