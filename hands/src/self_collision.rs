@@ -22,6 +22,11 @@ const NOTICED_M: f64 = 0.002;
 /// Pairs of the open posture closer than this count as touching there: neighbours by construction.
 const TOUCHING_M: f64 = 0.0005;
 
+/// Two indices.
+type Pair = (usize, usize);
+/// The pairs of spheres any of which notices one overlap of two bodies.
+type Event = Vec<Pair>;
+
 /// Finds the pairs.
 pub(crate) fn pairs(
     tree: &Tree,
@@ -29,17 +34,17 @@ pub(crate) fn pairs(
     spheres: &[CollisionSphere],
     rules: &Collision,
     findings: &mut Findings,
-) -> Vec<(usize, usize)> {
+) -> Vec<Pair> {
     let ignored = ignored(tree, rules, findings);
     let eligible = eligible(tree, spheres, &ignored);
     let open = centres(tree, actuation, &actuation.open(), spheres);
-    let eligible: Vec<(usize, usize)> =
+    let eligible: Vec<Pair> =
         eligible.into_iter().filter(|&(a, b)| overlap(spheres, &open, a, b) < -TOUCHING_M).collect();
     // Every posture in which two bodies overlap is an event that some kept pair must notice.
-    let mut events: BTreeMap<(usize, usize), Vec<Vec<(usize, usize)>>> = BTreeMap::new();
+    let mut events: BTreeMap<Pair, Vec<Event>> = BTreeMap::new();
     for u in postures(actuation) {
         let centres = centres(tree, actuation, &u, spheres);
-        let mut overlaps: BTreeMap<(usize, usize), Vec<(f64, (usize, usize))>> = BTreeMap::new();
+        let mut overlaps: BTreeMap<Pair, Vec<(f64, Pair)>> = BTreeMap::new();
         for &(a, b) in &eligible {
             let depth = overlap(spheres, &centres, a, b);
             if depth > 0.0 {
@@ -54,7 +59,7 @@ pub(crate) fn pairs(
             }
         }
     }
-    let mut kept: Vec<((usize, usize), usize)> = events.into_values().flat_map(fewest).collect();
+    let mut kept: Vec<(Pair, usize)> = events.into_values().flat_map(fewest).collect();
     if kept.len() > MOST_PAIRS {
         findings.warn(
             TOML,
@@ -65,16 +70,16 @@ pub(crate) fn pairs(
     }
     kept.sort_by_key(|&(pair, count)| (std::cmp::Reverse(count), pair));
     kept.truncate(MOST_PAIRS);
-    let mut pairs: Vec<(usize, usize)> = kept.into_iter().map(|(pair, _)| pair).collect();
+    let mut pairs: Vec<Pair> = kept.into_iter().map(|(pair, _)| pair).collect();
     pairs.sort_unstable();
     pairs
 }
 
 /// Greedily, few pairs such that each event contains one; with the number of events that each settled.
-fn fewest(mut events: Vec<Vec<(usize, usize)>>) -> Vec<((usize, usize), usize)> {
+fn fewest(mut events: Vec<Event>) -> Vec<(Pair, usize)> {
     let mut out = Vec::new();
     while !events.is_empty() {
-        let mut counts: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+        let mut counts: BTreeMap<Pair, usize> = BTreeMap::new();
         for pair in events.iter().flatten() {
             *counts.entry(*pair).or_insert(0) += 1;
         }
@@ -88,11 +93,7 @@ fn fewest(mut events: Vec<Vec<(usize, usize)>>) -> Vec<((usize, usize), usize)> 
 }
 
 /// Pairs of spheres of bodies that are neither one nor neighbours, and that no rule excuses.
-fn eligible(
-    tree: &Tree,
-    spheres: &[CollisionSphere],
-    ignored: &BTreeSet<(usize, usize)>,
-) -> Vec<(usize, usize)> {
+fn eligible(tree: &Tree, spheres: &[CollisionSphere], ignored: &BTreeSet<Pair>) -> Vec<Pair> {
     let mut out = Vec::new();
     for a in 0..spheres.len() {
         for b in a + 1..spheres.len() {
@@ -112,7 +113,7 @@ pub(crate) fn adjacent(tree: &Tree, a: usize, b: usize) -> bool {
 }
 
 /// Pairs of links (smaller index first) that the description excuses.
-fn ignored(tree: &Tree, rules: &Collision, findings: &mut Findings) -> BTreeSet<(usize, usize)> {
+fn ignored(tree: &Tree, rules: &Collision, findings: &mut Findings) -> BTreeSet<Pair> {
     let mut out = BTreeSet::new();
     let mut find = |name: &str, key: &str| {
         let link = tree.link(name);
