@@ -4,7 +4,6 @@ mod clean;
 mod lens;
 
 pub use clean::{CleanOptions, MAX_DEPTH_M, clean_depth};
-pub use lens::Rays;
 
 use nalgebra::Isometry3;
 
