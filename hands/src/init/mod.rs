@@ -145,7 +145,9 @@ mod tests {
 
     #[test]
     fn approach_and_opening_agree_with_the_library() {
-        for id in ["robotiq-2f85", "finray-2f", "model-o", "panda", "leap", "finray-4f", "robotiq-3f", "antipodal"] {
+        for id in
+            ["robotiq-2f85", "finray-2f", "model-o", "panda", "leap", "finray-4f", "robotiq-3f", "antipodal"]
+        {
             let (hand, known) = (proposal(id), library::hand(id).unwrap());
             let angle = hand.approach.angle(&known.approach).to_degrees();
             assert!(angle < 25.0, "{id}: the approach is off by {angle} degrees");

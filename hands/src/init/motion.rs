@@ -97,7 +97,8 @@ pub(super) fn derive(model: &Model, fingers: &[Chain]) -> Motion {
     let halfway: Vec<f64> = ranges.iter().map(|&(l, u)| l + 0.4 * (u - l)).collect();
     let mut motion = Motion { roles: vec![Role::Follows; count], open: zero.clone(), closed: zero.clone() };
     for j in (0..count).filter(|&j| model.mimics[j].is_none()) {
-        let cosine = 0.5 * (towards(model, fingers, &zero, j, &centre) + towards(model, fingers, &halfway, j, &centre));
+        let cosine = 0.5
+            * (towards(model, fingers, &zero, j, &centre) + towards(model, fingers, &halfway, j, &centre));
         if cosine.abs() < CLOSES {
             motion.roles[j] = Role::Spreads;
             continue;
@@ -129,7 +130,8 @@ pub(super) fn stop_at_contact(model: &Model, motion: &mut Motion, pads: &[PadGue
         let fraction = f64::from(n) / f64::from(STEPS);
         let q = motion.joints(&model.mimics, fraction);
         let links = model.tree.link_poses(&model.tree.body_poses(&q));
-        let at: Vec<_> = pads.iter().map(|p| (links[p.link] * p.center, links[p.link].rotation * p.normal)).collect();
+        let at: Vec<_> =
+            pads.iter().map(|p| (links[p.link] * p.center, links[p.link].rotation * p.normal)).collect();
         let crossed = (0..at.len()).any(|i| {
             (i + 1..at.len()).any(|j| {
                 pads[i].finger != pads[j].finger && opening::gap(&at[i], &at[j]).is_some_and(|g| g < 0.0)
