@@ -2,7 +2,7 @@
 
 pub(crate) mod lettering;
 pub(crate) mod mesh;
-//PAGE
+pub(crate) mod page;
 pub(crate) mod picture;
 pub(crate) mod raster;
 pub(crate) mod surface;
