@@ -17,6 +17,8 @@ pub struct CenteredCentroid {
     pub weight: f64,
     /// Voxels in the cluster.
     pub voxel_count: usize,
+    /// Label of the object that it lies in, where the frames had labels.
+    pub label: Option<u8>,
 }
 
 /// What is left of a contact field after refinement, ready for any number of hands.
