@@ -94,9 +94,9 @@ pub(crate) struct ContactOutcome {
 }
 
 impl Outcome {
-    /// From a plan that was made in this process; `scene_stages` come before the plan's own.
-    pub(crate) fn from_plan(hand: &Hand, plan: Plan, scene_stages: &[(&'static str, Duration)]) -> Self {
-        let stages = scene_stages.iter().chain(&plan.stats.stages).map(|&(name, d)| (name.to_owned(), d)).collect();
+    /// From a plan that was made in this process.
+    pub(crate) fn from_plan(hand: &Hand, plan: Plan) -> Self {
+        let stages = plan.stats.stages.iter().map(|&(name, d)| (name.to_owned(), d)).collect();
         Self {
             hand: hand.id.clone(),
             grasps: plan.grasps.into_iter().map(|g| GraspOutcome::from_grasp(hand, g)).collect(),
