@@ -28,7 +28,19 @@ macro_rules! entries {
     };
 }
 
-entries!("robotiq-2f85", "robotiq-3f", "leap", "antipodal");
+entries!(
+    "finray-2f",
+    "robotiq-2f85",
+    "robotiq-3f",
+    "model-o",
+    "finray-4f",
+    "brunel",
+    "leap",
+    "barrett",
+    "antipodal",
+    "allegro",
+    "panda",
+);
 
 /// The ids of all hands in the library.
 pub fn ids() -> &'static [&'static str] {

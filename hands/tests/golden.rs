@@ -31,9 +31,10 @@ struct Case {
 }
 
 fn check(id: &str, text: &str) {
-    let golden: Golden = serde_json::from_str(text).unwrap();
+    let golden: Golden = serde_json::from_str(text).unwrap_or_else(|e| panic!("{id}: {e}"));
     let tree = &library::hand(id).unwrap_or_else(|| panic!("{id} does not load")).tree;
     assert_eq!(golden.joints.len(), tree.joints.len(), "{id}: every joint is recorded");
+    assert!(!golden.cases.is_empty() && !golden.points.is_empty(), "{id}: something is recorded");
     let link = |name: &str| tree.link(name).unwrap_or_else(|| panic!("{id}: no link {name}"));
     for case in &golden.cases {
         let mut q = vec![0.0; tree.joints.len()];
@@ -70,4 +71,11 @@ golden! {
     robotiq_3f: "robotiq-3f",
     leap: "leap",
     antipodal: "antipodal",
+    finray_2f: "finray-2f",
+    // Without finger 4: the published model turns it wrongly.
+    finray_4f: "finray-4f",
+    model_o: "model-o",
+    brunel: "brunel",
+    barrett: "barrett",
+    allegro: "allegro",
 }
