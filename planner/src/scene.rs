@@ -254,7 +254,7 @@ fn validate(options: &SceneOptions) -> Result<(), SceneError> {
         let size = options.grid.size_m;
         let t = world_from_volume.translation.vector;
         let norm = world_from_volume.rotation.as_ref().norm();
-        if !t.iter().all(|v| v.is_finite()) || !((norm - 1.0).abs() < 1e-3) {
+        if !t.iter().all(|v| v.is_finite()) || norm.is_nan() || (norm - 1.0).abs() > 1e-3 {
             return Err(SceneError::Workspace {
                 field: "world_from_volume",
                 found: format!("translation ({}, {}, {}), quaternion of length {norm}", t.x, t.y, t.z),

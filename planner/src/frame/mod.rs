@@ -177,7 +177,7 @@ impl Frame {
             if !t.iter().all(|v| v.is_finite()) {
                 return Err(FrameError::Pose { found: format!("translation ({}, {}, {})", t.x, t.y, t.z) });
             }
-            if !((norm - 1.0).abs() < 1e-3) {
+            if norm.is_nan() || (norm - 1.0).abs() > 1e-3 {
                 return Err(FrameError::Pose { found: format!("quaternion of length {norm}") });
             }
         }

@@ -174,8 +174,7 @@ fn nearest<'a, T: Squared + 'a>(
     let mut best = [squares[0]; LANES];
     best.copy_from_slice(&line(here)[..LANES]);
     let reach = here.max(n - 1 - here);
-    for d in 1..=reach {
-        let square = squares[d];
+    for (d, &square) in squares.iter().enumerate().take(reach + 1).skip(1) {
         // Nothing further away can improve a vector whose worst entry is within this distance already.
         if d % 4 == 1 && best.iter().copied().max().is_some_and(|worst| worst <= square) {
             break;

@@ -13,9 +13,9 @@ fn wall() -> (ContactField, Vec<bool>) {
     let grid = Grid { resolution: 24, size_m: 0.12 };
     let mut field = empty_field(grid);
     let mut solid = vec![false; grid.len()];
-    for i in 0..grid.len() {
+    for (i, solid) in solid.iter_mut().enumerate() {
         let [x, y, z] = grid.voxel(i);
-        solid[i] = x >= 6;
+        *solid = x >= 6;
         if x == 5 && (8..16).contains(&y) {
             field.certainty[i] = if z % 2 == 0 { 0.5 } else { 0.3 };
             field.inward[i] = [1.0, 0.0, 0.0];

@@ -45,11 +45,11 @@ pub fn find_table(points: &FramePoints) -> Option<Plane> {
     if all.len() < 50 {
         return None;
     }
-    let stride = (all.len() / SCORED).max(1);
-    let scored: Vec<Point3<f64>> = all.iter().step_by(stride).copied().collect();
     let up = points.posed.then(|| points.world_from_camera.inverse_transform_vector(&Vector3::z()));
 
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(0x7AB1E);
+    // Drawn, not strided: a stride can beat with the image's rows.
+    let scored: Vec<Point3<f64>> = (0..SCORED).map(|_| all[rng.random_range(0..all.len())]).collect();
     let mut best: Option<(f64, Plane)> = None;
     for _ in 0..TRIALS {
         let pick: [Point3<f64>; 3] = std::array::from_fn(|_| all[rng.random_range(0..all.len())]);
