@@ -146,6 +146,11 @@ impl SearchArgs {
         })
     }
 
+    /// The label that is asked for.
+    pub(crate) fn wants_labels(&self) -> Option<u8> {
+        self.target_label
+    }
+
     /// Time for each hand, where it is bounded.
     pub(crate) fn budget(&self) -> Option<Duration> {
         self.budget_ms.map(Duration::from_millis)
