@@ -1,6 +1,7 @@
 //! Antipodal chords: from a contact straight through the object to a surface that faces the other way.
 
 use crate::grid::Grid;
+use crate::volume::VoxelState;
 
 /// Longest chord that any hand of interest spans, metres.
 pub(super) const MAX_CHORD_M: f32 = 0.16;
@@ -20,6 +21,8 @@ pub(super) struct Chord {
     pub(super) opposition: f32,
     /// Free share of the finger's room at the worse of both ends, 0 to 1.
     pub(super) room: f32,
+    /// Whether a frame has seen the far side to be free.
+    pub(super) exit_seen: bool,
 }
 
 /// What the march looks at; positions are in voxel units, voxel (i, j, k) being centred at (i, j, k).
@@ -29,6 +32,8 @@ pub(super) struct Body<'a> {
     pub(super) object: &'a [bool],
     /// Everything that a finger must not enter.
     pub(super) solid: &'a [bool],
+    /// What is known of each voxel.
+    pub(super) state: &'a [VoxelState],
     /// Smoothed `object`, 0 to 1.
     pub(super) density: &'a [f32],
     /// First layer above the table.
@@ -86,11 +91,17 @@ impl Body<'_> {
                     (Some(n), None) | (None, Some(n)) => n,
                     (None, None) => return None,
                 };
-                let norm: f32 = normal.iter().map(|c: &f32| c * c).sum::<f32>().sqrt();
+                // A horizontal chord asks how the far side stands in the horizontal plane only.
+                let mut normal: [f32; 3] = normal;
+                if inward[2] == 0.0 && normal[0].hypot(normal[1]) > 0.5 * normal[2].abs() {
+                    normal[2] = 0.0;
+                }
+                let norm = normal.iter().map(|c| c * c).sum::<f32>().sqrt();
                 let along: f32 = (0..3).map(|k| normal[k] * inward[k]).sum();
                 let room = self.room(p, inward).min(self.room(start, inward.map(|c| -c)));
                 let opposition = if norm > 1e-6 { along / norm } else { 0.0 };
-                return Some(Chord { exit: p, length: t, opposition, room });
+                let exit_seen = self.state[i] == VoxelState::Free;
+                return Some(Chord { exit: p, length: t, opposition, room, exit_seen });
             } else if t > 2.5 {
                 return None;
             }

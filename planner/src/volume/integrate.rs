@@ -107,9 +107,9 @@ impl Volume {
                             if !states.contains(&VoxelState::Surface) || !projector.row(x, y, row) {
                                 continue;
                             }
-                            for z in 0..n {
+                            for (z, &state) in states.iter().enumerate() {
                                 let pixel = row.pixel[z];
-                                if pixel < 0 || states[z] != VoxelState::Surface {
+                                if pixel < 0 || state != VoxelState::Surface {
                                     continue;
                                 }
                                 let d = depth[pixel as usize];

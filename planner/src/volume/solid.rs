@@ -48,7 +48,10 @@ impl Volume {
     pub fn objects(&self, solid: &[bool]) -> Vec<bool> {
         let n = self.grid.resolution;
         let first = self.first_object_layer();
-        let mut open: Vec<bool> = solid.iter().enumerate().map(|(i, &s)| s && i % n >= first).collect();
+        let mut open = solid.to_vec();
+        for column in open.chunks_mut(n.max(1)) {
+            column[..first].fill(false);
+        }
         let mut objects = vec![false; open.len()];
         let mut group = Vec::new();
         for seed in 0..open.len() {

@@ -14,6 +14,10 @@ const CELL_M: f64 = 0.01;
 const NEAR_TABLE_M: f64 = 0.10;
 /// The objects' square is this much smaller than the cube on each side, metres, so that fingers fit.
 const MARGIN_M: f64 = 0.02;
+/// Factor for cells of things that leave the image or the cube's height.
+const PARTLY: f64 = 0.03;
+/// Eccentricity from which a point is on the image's border.
+const OUTER: f64 = 0.97;
 
 /// Rotation whose z axis is `up` and whose x axis is as close as possible to `along`.
 fn upright(up: &Vector3<f64>, along: &Vector3<f64>) -> UnitQuaternion<f64> {
@@ -32,109 +36,179 @@ pub(super) fn on_table(points: &FramePoints, table: &Plane, size_m: f64) -> Isom
     let foot = -table.normal.into_inner() * table.offset_m;
     let rotation = upright(&table.normal, &Vector3::x());
     let camera_from_table = Isometry3::from_parts(Translation3::from(foot), rotation);
-
-    let top = size_m - TABLE_HEIGHT_M.min(0.5 * size_m);
-    let mut standing: Vec<([f64; 2], f64)> = Vec::new();
-    let mut lying: Vec<[f64; 2]> = Vec::new();
-    for (p, &area) in points.camera.iter().zip(&points.area) {
-        let q = camera_from_table.inverse_transform_point(p);
-        if q.z.abs() < LOWEST_M {
-            lying.push([q.x, q.y]);
-        } else if q.z > 0.0 && q.z < top {
-            standing.push(([q.x, q.y], area));
-        }
-    }
-    let center = densest_square(&standing, &lying, (size_m - 2.0 * MARGIN_M).max(0.5 * size_m))
-        .or_else(|| median_2d(&lying))
-        .unwrap_or([0.0, 0.0]);
     let depth = TABLE_HEIGHT_M.min(0.5 * size_m);
+    let center = densest_square(
+        points,
+        &camera_from_table,
+        size_m - depth,
+        (size_m - 2.0 * MARGIN_M).max(0.5 * size_m),
+    )
+    .unwrap_or([0.0, 0.0]);
     let corner = Point3::new(center[0] - 0.5 * size_m, center[1] - 0.5 * size_m, -depth);
     points.world_from_camera * camera_from_table * Translation3::from(corner.coords)
 }
 
-/// Centre of the square of edge `side` that holds most of `standing`, weighted, among what is near `lying`.
-fn densest_square(standing: &[([f64; 2], f64)], lying: &[[f64; 2]], side: f64) -> Option<[f64; 2]> {
-    let mut low = [f64::INFINITY; 2];
-    let mut high = [f64::NEG_INFINITY; 2];
-    // Three metres around the camera's foot: what is further is not on this table.
-    let near = |p: &[f64; 2]| p[0].hypot(p[1]) < 3.0;
-    for p in lying.iter().filter(|p| near(p)) {
-        for a in 0..2 {
-            low[a] = low[a].min(p[a] - NEAR_TABLE_M);
-            high[a] = high[a].max(p[a] + NEAR_TABLE_M);
-        }
-    }
-    if low[0] > high[0] {
-        return None;
-    }
-    let cells = [0, 1].map(|a| ((high[a] - low[a]) / CELL_M).ceil() as usize + 1);
-    let cell = |p: &[f64; 2]| {
-        let c = [0, 1].map(|a| ((p[a] - low[a]) / CELL_M).floor());
-        (c[0] >= 0.0 && c[1] >= 0.0 && c[0] < cells[0] as f64 && c[1] < cells[1] as f64)
-            .then(|| c[0] as usize * cells[1] + c[1] as usize)
-    };
-    let mut table = vec![0.0; cells[0] * cells[1]];
-    for i in lying.iter().filter_map(cell) {
-        table[i] = 1.0;
-    }
-    let reach = (NEAR_TABLE_M / CELL_M) as usize;
-    let table_sums = sums(&table, cells);
-    let is_near = |i: usize| {
-        let (x, y) = (i / cells[1], i % cells[1]);
-        let from = [x.saturating_sub(reach), y.saturating_sub(reach)];
-        let to = [(x + reach + 1).min(cells[0]), (y + reach + 1).min(cells[1])];
-        // A few stray cells of table are noise.
-        window(&table_sums, cells, from, to) >= 4.0
-    };
-    let kept: Vec<([f64; 2], f64)> =
-        standing.iter().filter(|(p, _)| cell(p).is_some_and(is_near)).copied().collect();
-    let mut weight = vec![0.0; cells[0] * cells[1]];
-    for (p, w) in &kept {
-        if let Some(i) = cell(p) {
-            weight[i] += w;
-        }
-    }
+/// Centre of the square of edge `side` that holds most of what stands on the table, lower than `top`; without
+/// anything that stands there, the middle of the seen table; `None` without a table.
+fn densest_square(
+    points: &FramePoints,
+    camera_from_table: &Isometry3<f64>,
+    top: f64,
+    side: f64,
+) -> Option<[f64; 2]> {
+    let mut floor = Floor::around(points, camera_from_table)?;
+    let weight = floor.weights(points, camera_from_table, top);
+    let cells = floor.cells;
     let weight_sums = sums(&weight, cells);
     let span = (side / CELL_M).round() as usize;
-    let mut best: Option<(f64, f64, [f64; 2])> = None;
+    let mut best: Option<(f64, f64, [usize; 2])> = None;
     for x in 0..=cells[0].saturating_sub(span) {
         for y in 0..=cells[1].saturating_sub(span) {
             let to = [(x + span).min(cells[0]), (y + span).min(cells[1])];
             let held = window(&weight_sums, cells, [x, y], to);
-            let c = [low[0] + x as f64 * CELL_M + 0.5 * side, low[1] + y as f64 * CELL_M + 0.5 * side];
+            let c = floor.position([x, y], 0.5 * span as f64);
             let far = c[0].hypot(c[1]);
             let better =
                 best.is_none_or(|(h, f, _)| held > h * (1.0 + 1e-9) || (held >= h * (1.0 - 1e-9) && far < f));
-            if held > 0.0 && better {
-                best = Some((held, far, c));
+            if held > 1e-9 && better {
+                best = Some((held, far, [x, y]));
             }
         }
     }
-    let (_, _, mut center) = best?;
-    let held = |c: [f64; 2]| -> (f64, [f64; 2], [f64; 2]) {
-        let (mut sum, mut low, mut high) = (0.0, [f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for (p, w) in kept.iter().filter(|(p, _)| (0..2).all(|a| (p[a] - c[a]).abs() <= 0.5 * side)) {
-            sum += w;
-            for a in 0..2 {
-                low[a] = low[a].min(p[a]);
-                high[a] = high[a].max(p[a]);
-            }
-        }
-        (sum, low, high)
+    let Some((held, _, from)) = best else { return median_2d(&floor.lying) };
+    // Centre the square on what it holds whole, as long as nothing is lost by that.
+    let inside = |x: usize, y: usize| weight[x * cells[1] + y];
+    let squares = || {
+        (from[0]..(from[0] + span).min(cells[0]))
+            .flat_map(|x| (from[1]..(from[1] + span).min(cells[1])).map(move |y| (x, y)))
     };
-    // Centre the square on what it holds, as long as nothing is lost by that.
-    for _ in 0..4 {
-        let (sum, low, high) = held(center);
-        if low[0] > high[0] {
-            break;
-        }
-        let middle = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
-        if held(middle).0 < 0.999 * sum {
-            break;
-        }
-        center = middle;
+    let least = if squares().any(|(x, y)| inside(x, y) > PARTLY) { PARTLY } else { 0.0 };
+    let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
+    for (x, y) in squares().filter(|&(x, y)| inside(x, y) > least) {
+        low = [low[0].min(x), low[1].min(y)];
+        high = [high[0].max(x + 1), high[1].max(y + 1)];
     }
-    Some(center)
+    let middle = |a: usize| 0.5 * (low[a] + high[a]) as f64 - 0.5 * span as f64;
+    let start = [0, 1].map(|a| middle(a).round().clamp(0.0, cells[a].saturating_sub(span) as f64) as usize);
+    let to = [(start[0] + span).min(cells[0]), (start[1] + span).min(cells[1])];
+    if window(&weight_sums, cells, start, to) < 0.98 * held {
+        return Some(floor.position(from, 0.5 * span as f64));
+    }
+    floor.low = [0, 1].map(|a| floor.low[a] + middle(a) * CELL_M);
+    Some(floor.position([0, 0], 0.5 * span as f64))
+}
+
+/// The seen table, divided into cells.
+struct Floor {
+    low: [f64; 2],
+    cells: [usize; 2],
+    /// Points on the table.
+    lying: Vec<[f64; 2]>,
+}
+
+impl Floor {
+    /// Cells around every point of the table up to three metres from the camera's foot.
+    fn around(points: &FramePoints, camera_from_table: &Isometry3<f64>) -> Option<Self> {
+        let lying: Vec<[f64; 2]> = points
+            .camera
+            .iter()
+            .map(|p| camera_from_table.inverse_transform_point(p))
+            .filter(|q| q.z.abs() < LOWEST_M && q.x.hypot(q.y) < 3.0)
+            .map(|q| [q.x, q.y])
+            .collect();
+        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        for p in &lying {
+            for a in 0..2 {
+                low[a] = low[a].min(p[a] - NEAR_TABLE_M);
+                high[a] = high[a].max(p[a] + NEAR_TABLE_M);
+            }
+        }
+        let cells = [0, 1].map(|a| ((high[a] - low[a]) / CELL_M).ceil().max(0.0) as usize + 1);
+        (!lying.is_empty()).then_some(Self { low, cells, lying })
+    }
+
+    fn cell(&self, x: f64, y: f64) -> Option<usize> {
+        let c = [(x - self.low[0]) / CELL_M, (y - self.low[1]) / CELL_M].map(f64::floor);
+        (c[0] >= 0.0 && c[1] >= 0.0 && c[0] < self.cells[0] as f64 && c[1] < self.cells[1] as f64)
+            .then(|| c[0] as usize * self.cells[1] + c[1] as usize)
+    }
+
+    /// Position `add` cells beyond the corner of a cell.
+    fn position(&self, cell: [usize; 2], add: f64) -> [f64; 2] {
+        [0, 1].map(|a| self.low[a] + (cell[a] as f64 + add) * CELL_M)
+    }
+
+    /// What a cell counts for: 0 without anything standing on it or far from the table, else up to 1.
+    ///
+    /// Cells count, not points: a wall or a robot's arm has many points over little floor. What is connected to
+    /// something that leaves the image or the cube's height counts little, for it is such a wall or arm, or cannot
+    /// be seen well enough to grasp; and what is in the image's middle counts more, since that is where people
+    /// point a camera.
+    fn weights(&self, points: &FramePoints, camera_from_table: &Isometry3<f64>, top: f64) -> Vec<f64> {
+        let count = self.cells[0] * self.cells[1];
+        let mut table = vec![0.0; count];
+        for i in self.lying.iter().filter_map(|p| self.cell(p[0], p[1])) {
+            table[i] = 1.0;
+        }
+        let mut weight = vec![0.0f64; count];
+        let mut cut = vec![false; count];
+        for (p, &eccentricity) in points.camera.iter().zip(&points.eccentricity) {
+            let q = camera_from_table.inverse_transform_point(p);
+            if q.z < LOWEST_M {
+                continue;
+            }
+            if let Some(i) = self.cell(q.x, q.y) {
+                weight[i] = weight[i].max(1.0 - 0.7 * eccentricity * eccentricity);
+                cut[i] |= eccentricity > OUTER || q.z > top;
+            }
+        }
+        let near = sums(&table, self.cells);
+        let reach = (NEAR_TABLE_M / CELL_M) as usize;
+        for (i, w) in weight.iter_mut().enumerate() {
+            let (x, y) = (i / self.cells[1], i % self.cells[1]);
+            let from = [x.saturating_sub(reach), y.saturating_sub(reach)];
+            let to = [(x + reach + 1).min(self.cells[0]), (y + reach + 1).min(self.cells[1])];
+            // A few stray cells of table are noise.
+            if window(&near, self.cells, from, to) < 4.0 {
+                *w = 0.0;
+            }
+        }
+        self.discount(&mut weight, &cut);
+        weight
+    }
+
+    /// Multiplies by [`PARTLY`] the weights of every group of neighbouring cells that is cut somewhere.
+    fn discount(&self, weight: &mut [f64], cut: &[bool]) {
+        let [width, height] = self.cells;
+        let mut open: Vec<bool> = weight.iter().map(|&w| w > 0.0).collect();
+        let mut group = Vec::new();
+        for seed in 0..open.len() {
+            if !open[seed] {
+                continue;
+            }
+            open[seed] = false;
+            group.clear();
+            group.push(seed);
+            let mut next = 0;
+            while next < group.len() {
+                let (x, y) = (group[next] / height, group[next] % height);
+                next += 1;
+                for a in x.saturating_sub(1)..(x + 2).min(width) {
+                    for b in y.saturating_sub(1)..(y + 2).min(height) {
+                        if std::mem::take(&mut open[a * height + b]) {
+                            group.push(a * height + b);
+                        }
+                    }
+                }
+            }
+            // One stray pixel does not cut an object off.
+            if group.iter().filter(|&&i| cut[i]).count() > 1 {
+                for &i in &group {
+                    weight[i] *= PARTLY;
+                }
+            }
+        }
+    }
 }
 
 /// Summed-area table with a border of zeros.
@@ -236,8 +310,8 @@ mod tests {
                 camera.push(Point3::new(x, y, if on_block { 0.92 } else { 1.0 }));
             }
         }
-        let area = vec![1.0; camera.len()];
-        FramePoints { camera, area, world_from_camera: Isometry3::identity(), posed: false }
+        let eccentricity = vec![0.0; camera.len()];
+        FramePoints { camera, eccentricity, world_from_camera: Isometry3::identity(), posed: false }
     }
 
     #[test]
@@ -258,7 +332,7 @@ mod tests {
         let empty = scene([9.0, 9.0]);
         let workspace = Workspace::place(&WorkspaceRequest::Auto, Grid::default(), &empty);
         assert_eq!(workspace.table_m, Some(0.1));
-        let nothing = FramePoints { camera: vec![], area: vec![], ..empty };
+        let nothing = FramePoints { camera: vec![], eccentricity: vec![], ..empty };
         let workspace = Workspace::place(&WorkspaceRequest::Auto, Grid::default(), &nothing);
         assert_eq!(workspace.table_m, None);
         let middle = workspace.world_from_volume * Point3::new(0.2, 0.2, 0.2);

@@ -57,10 +57,20 @@ pub fn find_table(points: &FramePoints) -> Option<Plane> {
         if !admissible(&plane) {
             continue;
         }
-        let inliers = scored.iter().filter(|p| plane.height(p).abs() < INLIER_M).count();
         // What lies clearly below a table is seen past its edge: a plane with much below it is a box's top.
-        let below = scored.iter().filter(|p| plane.height(p) < -3.0 * INLIER_M).count();
-        let mut score = inliers as f64 - 0.25 * below as f64;
+        let mut score: f64 = scored
+            .iter()
+            .map(|p| {
+                let height = plane.height(p);
+                if height.abs() < INLIER_M {
+                    1.0
+                } else if height < -3.0 * INLIER_M {
+                    -0.25
+                } else {
+                    0.0
+                }
+            })
+            .sum();
         if let Some(up) = &up
             && plane.normal.angle(up) > LEVEL_RAD
         {
@@ -147,8 +157,9 @@ mod tests {
                 camera.push(camera_from_table * Point3::new(x, y, z));
             }
         }
-        let area = vec![1.0; camera.len()];
-        let points = FramePoints { camera, area, world_from_camera: Isometry3::identity(), posed: false };
+        let eccentricity = vec![0.0; camera.len()];
+        let points =
+            FramePoints { camera, eccentricity, world_from_camera: Isometry3::identity(), posed: false };
         (points, camera_from_table * Vector3::z())
     }
 
@@ -194,8 +205,8 @@ mod tests {
         let up_in_camera = Vector3::new(0.0, -1.0, -1.0).normalize();
         let rotation = nalgebra::UnitQuaternion::rotation_between(&up_in_camera, &Vector3::z()).unwrap();
         let world_from_camera = Isometry3::from_parts(nalgebra::Translation3::identity(), rotation);
-        let area = vec![1.0; camera.len()];
-        let mut points = FramePoints { camera, area, world_from_camera, posed: true };
+        let eccentricity = vec![0.0; camera.len()];
+        let mut points = FramePoints { camera, eccentricity, world_from_camera, posed: true };
         assert!(find_table(&points).unwrap().normal.angle(&up_in_camera) < 0.02);
         points.posed = false;
         assert!(find_table(&points).unwrap().normal.angle(&-Vector3::z()) < 0.02);

@@ -12,8 +12,8 @@ const SAMPLES: usize = 20_000;
 pub struct FramePoints {
     /// Points in the optical frame, metres.
     pub camera: Vec<Point3<f64>>,
-    /// Surface that each point stands for, relative: squared depth (a pixel covers more of what is far).
-    pub area: Vec<f64>,
+    /// How far each point is from the image's middle: 0 there, 1 on the border, the larger of both axes.
+    pub eccentricity: Vec<f64>,
     /// Pose of the camera; identity when the caller gave none.
     pub world_from_camera: Isometry3<f64>,
     /// True when the caller gave the pose, so that the world's z axis means up.
@@ -25,7 +25,7 @@ pub fn frame_points(frame: &Frame, depth: &[f32]) -> FramePoints {
     let (width, height) = (frame.image.width, frame.image.height);
     let mut points = FramePoints {
         camera: Vec::new(),
-        area: Vec::new(),
+        eccentricity: Vec::new(),
         world_from_camera: frame.world_from_camera.unwrap_or_else(Isometry3::identity),
         posed: frame.world_from_camera.is_some(),
     };
@@ -48,7 +48,8 @@ pub fn frame_points(frame: &Frame, depth: &[f32]) -> FramePoints {
             };
             if let Some([x, y]) = ray {
                 points.camera.push(Point3::new(x * z, y * z, z));
-                points.area.push(z * z);
+                let share = |at: usize, count: usize| (2.0 * (at as f64 + 0.5) / count as f64 - 1.0).abs();
+                points.eccentricity.push(share(column, width).max(share(row, height)));
             }
         }
     }
