@@ -6,6 +6,7 @@
 //!
 //! Frames: the *hand frame* is the URDF's root link. Lengths are metres, angles radians.
 
+// What a hand is.
 mod actuation;
 mod collision;
 mod error;
@@ -14,11 +15,26 @@ mod hand;
 mod kinematics;
 mod pad;
 
+// How files become a hand.
+mod coupling;
+mod description;
+mod load;
+mod mesh;
+mod pads;
+mod urdf;
+mod xml_guard;
+
+// What is derived from a hand's shapes and motion.
+mod opening;
+mod self_collision;
+mod solid;
+mod spheres;
+
 pub mod library;
 
 pub use actuation::{Actuation, Coordinate, CoordinateKind, JointRow, SoftCoupling};
 pub use collision::{CollisionShape, CollisionSphere, Shape};
-pub use error::HandError;
+pub use error::{HandError, Problem, Problems};
 pub use files::HandFiles;
 pub use hand::{Finger, Hand, Opening};
 pub use kinematics::{Body, Joint, JointKind, Link, Tree};

@@ -1,6 +1,6 @@
 //! Contact pads: the regions of a finger's surface that may touch, and the candidates sampled on them.
 
-use nalgebra::{Point3, Unit, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
 /// A flat rectangular region of a link's surface that may touch an object.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +19,24 @@ pub struct Pad {
     pub half_v: Vector3<f64>,
     /// Outward normal in the link frame: from the finger towards the object.
     pub normal: Unit<Vector3<f64>>,
+}
+
+impl Pad {
+    /// The pad's frame in the link frame: origin at the centre, x along `half_u`, z along the normal.
+    pub fn frame(&self) -> Isometry3<f64> {
+        let z = self.normal.into_inner();
+        // Edges that are only roughly across the normal are made so.
+        let x = (self.half_u - z * z.dot(&self.half_u)).normalize();
+        let axes = Matrix3::from_columns(&[x, z.cross(&x), z]);
+        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+        Isometry3::from_parts(Translation3::from(self.center.coords), rotation)
+    }
+
+    /// The four corners in the link frame, in turn around the pad, metres.
+    pub fn corners(&self) -> [Point3<f64>; 4] {
+        let (c, u, v) = (self.center, self.half_u, self.half_v);
+        [c - u - v, c + u - v, c + u + v, c - u + v]
+    }
 }
 
 /// A sample of a pad: a point of the hand that may become a contact, with its outward normal.

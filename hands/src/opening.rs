@@ -1,0 +1,66 @@
+//! How far a hand opens, and where its tool point is: both from the motion of its pads.
+
+use nalgebra::{Isometry3, Point3, Unit, Vector3};
+
+use crate::{Actuation, Opening, Pad, Tree};
+
+/// Steps between open and closed.
+const STEPS: usize = 48;
+/// Pads oppose each other when their normals differ by more than this cosine (about 110°).
+const OPPOSED: f64 = -0.35;
+
+/// Coordinates at a fraction of the way from open to closed.
+pub(crate) fn along(actuation: &Actuation, fraction: f64) -> Vec<f64> {
+    actuation.coordinates.iter().map(|c| c.open + fraction * (c.closed - c.open)).collect()
+}
+
+/// Centres and normals of the pads in the hand frame.
+pub(crate) fn pads_at(tree: &Tree, pads: &[Pad], q: &[f64]) -> Vec<(Point3<f64>, Unit<Vector3<f64>>)> {
+    let links: Vec<Isometry3<f64>> = tree.link_poses(&tree.body_poses(q));
+    pads.iter().map(|p| (links[p.link] * p.center, links[p.link].rotation * p.normal)).collect()
+}
+
+/// Largest and smallest gap between opposed pads of different fingers while the hand closes; `None`
+/// when no two pads face each other.
+///
+/// The gap is measured along the direction in which the two pads face each other, and counts from open
+/// until the pads meet.
+pub(crate) fn opening(tree: &Tree, actuation: &Actuation, pads: &[Pad]) -> Option<Opening> {
+    let mut range: Option<(f64, f64)> = None;
+    let mut met = vec![false; pads.len() * pads.len()];
+    for step in 0..=STEPS {
+        let u = along(actuation, step as f64 / STEPS as f64);
+        let at = pads_at(tree, pads, &actuation.joints(&u));
+        for i in 0..pads.len() {
+            for j in i + 1..pads.len() {
+                if pads[i].finger == pads[j].finger || met[i * pads.len() + j] {
+                    continue;
+                }
+                let Some(gap) = gap(&at[i], &at[j]) else { continue };
+                met[i * pads.len() + j] = gap <= 0.0;
+                let (low, high) = range.unwrap_or((f64::INFINITY, 0.0));
+                range = Some((low.min(gap.max(0.0)), high.max(gap)));
+            }
+        }
+    }
+    range.map(|(min_m, max_m)| Opening { min_m, max_m })
+}
+
+/// Gap between two pads that face each other; negative when they have passed each other.
+pub(crate) fn gap(
+    a: &(Point3<f64>, Unit<Vector3<f64>>),
+    b: &(Point3<f64>, Unit<Vector3<f64>>),
+) -> Option<f64> {
+    if a.1.dot(&b.1) > OPPOSED {
+        return None;
+    }
+    let direction = (a.1.into_inner() - b.1.into_inner()).normalize();
+    Some((b.0 - a.0).dot(&direction))
+}
+
+/// The mean of the pads' centres with the hand half closed.
+pub(crate) fn tool_point(tree: &Tree, actuation: &Actuation, pads: &[Pad]) -> Point3<f64> {
+    let at = pads_at(tree, pads, &actuation.joints(&along(actuation, 0.5)));
+    let sum: Vector3<f64> = at.iter().map(|(p, _)| p.coords).sum();
+    Point3::from(sum / at.len().max(1) as f64)
+}

@@ -1,0 +1,227 @@
+//! Covering collision shapes with few spheres.
+//!
+//! The optimizer's cost is linear in the spheres, so this looks for few: candidate centres inside the
+//! shapes, each with the largest radius that sticks out by at most the tolerance, then a greedy set
+//! cover of samples of surface and inside (each must be in, or within the tolerance of, a sphere).
+//! No sphere rises above a contact pad by more than [`PAD_CLEARANCE_M`]: a covering that did would keep
+//! the pad from ever touching.
+
+use nalgebra::{Isometry3, Point3};
+
+use crate::error::Findings;
+use crate::files::URDF;
+use crate::solid::Solid;
+use crate::{CollisionShape, CollisionSphere, Pad, Tree};
+
+/// How far a sphere may rise above a contact pad, metres.
+pub(crate) const PAD_CLEARANCE_M: f64 = 0.0005;
+/// Sharp edges count as rounded with this many tolerances as their radius: no real part has them, and
+/// covering them would take most of the spheres.
+const ROUNDING: f64 = 2.0;
+/// Most samples to cover on one link.
+const MOST_SAMPLES: f64 = 5000.0;
+/// Most candidate centres of one shape.
+const MOST_CENTRES: usize = 2500;
+
+/// Covers all shapes of a hand, link by link.
+pub(crate) fn cover(
+    tree: &Tree,
+    shapes: &[CollisionShape],
+    pads: &[Pad],
+    tolerance: f64,
+    findings: &mut Findings,
+) -> Vec<CollisionSphere> {
+    let mut out = Vec::new();
+    for (index, link) in tree.links.iter().enumerate() {
+        let mut solids = Vec::new();
+        for shape in shapes.iter().filter(|s| s.link == index) {
+            match Solid::new(link.body_from_link * shape.link_from_shape, &shape.shape) {
+                Some(solid) => solids.push(solid),
+                None => findings.error(
+                    URDF,
+                    format!("link {:?} collision mesh", link.name),
+                    "triangles that no solid can be made from",
+                    "a triangle mesh",
+                ),
+            }
+        }
+        // Pads of the whole body: a fingertip's pad may belong to a link of its own.
+        let walls: Vec<Wall> = pads
+            .iter()
+            .filter(|p| tree.links[p.link].body == link.body)
+            .map(|p| Wall::new(p, &tree.links[p.link].body_from_link))
+            .collect();
+        let spheres = cover_solids(&solids, &walls, tolerance);
+        out.extend(spheres.into_iter().map(|(center, radius)| CollisionSphere {
+            body: link.body,
+            link: index,
+            center,
+            radius,
+        }));
+    }
+    out
+}
+
+/// A pad as an obstacle for spheres, in the body frame.
+struct Wall {
+    /// Takes body coordinates to the pad's: x and y along its edges, z outwards.
+    pad_from_body: Isometry3<f64>,
+    half: [f64; 2],
+}
+
+impl Wall {
+    fn new(pad: &Pad, body_from_link: &Isometry3<f64>) -> Self {
+        let body_from_pad = *body_from_link * pad.frame();
+        Self { pad_from_body: body_from_pad.inverse(), half: [pad.half_u.norm(), pad.half_v.norm()] }
+    }
+
+    /// Largest radius of a sphere about `center` that does not rise above the pad by more than the clearance.
+    fn largest_radius(&self, center: &Point3<f64>) -> f64 {
+        let p = self.pad_from_body * center;
+        let aside = (p.x.abs() - self.half[0]).max(0.0).hypot((p.y.abs() - self.half[1]).max(0.0));
+        aside.hypot((PAD_CLEARANCE_M - p.z).max(0.0))
+    }
+}
+
+/// Large parts are covered more coarsely: their tolerance grows with the square root of their thickness,
+/// up to twice; parts up to [`FINE_M`] thick keep the tolerance as it is.
+fn scale(solids: &[Solid<'_>]) -> f64 {
+    let thickness = |s: &Solid<'_>| {
+        let (low, high) = s.local_bounds();
+        (high - low).min()
+    };
+    let thickest = solids.iter().map(thickness).fold(0.0, f64::max);
+    (thickest / FINE_M).sqrt().clamp(1.0, 2.0)
+}
+
+/// Thickness of parts that are covered with the tolerance itself, metres: fingers.
+const FINE_M: f64 = 0.03;
+
+/// Spheres (centre, radius) that cover the union of solids.
+fn cover_solids(solids: &[Solid<'_>], walls: &[Wall], tolerance: f64) -> Vec<(Point3<f64>, f64)> {
+    if solids.is_empty() {
+        return Vec::new();
+    }
+    let depth = |p: &Point3<f64>| solids.iter().map(|s| s.depth(p)).fold(f64::NEG_INFINITY, f64::max);
+    let tolerance = tolerance * scale(solids);
+    let area: f64 = solids.iter().map(Solid::area).sum();
+    let spacing = (0.5 * tolerance).max((area / MOST_SAMPLES).sqrt());
+    // Between samples the surface is up to about half a cell farther away than at them.
+    let reach = (tolerance - 0.4 * spacing).max(0.5 * tolerance);
+
+    let mut samples = Vec::new();
+    let mut centres = Vec::new();
+    for solid in solids {
+        let surface = solid.surface(spacing);
+        // Samples inside another shape of the link are not surface of the union.
+        samples.extend(surface.iter().filter(|p| depth(p) < 0.5 * spacing));
+        let grid = solid.grid(0.75 * tolerance, MOST_CENTRES);
+        samples.extend(&grid);
+        centres.extend(grid);
+        // A sphere about a surface sample always covers that sample: a cover always exists.
+        let stride = surface.len() / 500 + 1;
+        centres.extend(surface.into_iter().step_by(stride));
+    }
+    let candidates: Vec<(Point3<f64>, f64)> = centres
+        .into_iter()
+        .filter_map(|c| {
+            let free = depth(&c) + tolerance;
+            let radius = walls.iter().map(|w| w.largest_radius(&c)).fold(free, f64::min);
+            (radius > 0.0).then_some((c, radius))
+        })
+        .collect();
+    let samples = allow(&samples, &candidates, &depth, reach, ROUNDING * tolerance);
+    prune(&samples, greedy(&samples, &candidates))
+}
+
+/// A point that must be in, or this close to, a sphere.
+struct Sample {
+    point: Point3<f64>,
+    reach: f64,
+}
+
+/// How close a sphere must come to each sample: `reach`, and what rounding takes off sharp edges.
+fn allow(
+    samples: &[Point3<f64>],
+    candidates: &[(Point3<f64>, f64)],
+    depth: &dyn Fn(&Point3<f64>) -> f64,
+    reach: f64,
+    rounding: f64,
+) -> Vec<Sample> {
+    let balls: Vec<(Point3<f64>, f64)> = candidates.iter().map(|&(c, _)| (c, depth(&c))).collect();
+    let deepest = balls.iter().map(|b| b.1).fold(0.0, f64::max);
+    let least = rounding.min(0.8 * deepest);
+    let balls: Vec<(Point3<f64>, f64)> = balls.into_iter().filter(|b| b.1 >= least).collect();
+    samples
+        .iter()
+        .map(|&point| {
+            let off = balls.iter().map(|(c, d)| (point - c).norm() - d).fold(f64::INFINITY, f64::min);
+            Sample { point, reach: reach + off.clamp(0.0, 0.75 * rounding) }
+        })
+        .collect()
+}
+
+/// Greedy set cover: always the candidate that covers most of what is still uncovered.
+fn greedy(samples: &[Sample], candidates: &[(Point3<f64>, f64)]) -> Vec<(Point3<f64>, f64)> {
+    let words = samples.len().div_ceil(64);
+    let sets: Vec<Vec<u64>> = candidates
+        .iter()
+        .map(|(center, radius)| {
+            let mut set = vec![0_u64; words];
+            for (i, sample) in samples.iter().enumerate() {
+                if (sample.point - center).norm() <= radius + sample.reach {
+                    set[i / 64] |= 1 << (i % 64);
+                }
+            }
+            set
+        })
+        .collect();
+    let mut open = vec![u64::MAX; words];
+    if !samples.len().is_multiple_of(64)
+        && let Some(last) = open.last_mut()
+    {
+        *last = (1 << (samples.len() % 64)) - 1;
+    }
+    let gain =
+        |set: &[u64], open: &[u64]| -> u32 { set.iter().zip(open).map(|(a, b)| (a & b).count_ones()).sum() };
+    // Gains only shrink, so a stale gain is an upper bound: re-evaluate lazily from the top.
+    let mut queue: std::collections::BinaryHeap<(u32, std::cmp::Reverse<usize>)> =
+        sets.iter().enumerate().map(|(i, set)| (gain(set, &open), std::cmp::Reverse(i))).collect();
+    let mut chosen = Vec::new();
+    while let Some((stale, std::cmp::Reverse(i))) = queue.pop() {
+        let fresh = gain(&sets[i], &open);
+        if fresh == 0 {
+            if stale == 0 {
+                break;
+            }
+            continue;
+        }
+        if queue.peek().is_none_or(|&(next, _)| fresh >= next) {
+            open.iter_mut().zip(&sets[i]).for_each(|(o, s)| *o &= !s);
+            chosen.push(candidates[i]);
+        } else {
+            queue.push((fresh, std::cmp::Reverse(i)));
+        }
+    }
+    chosen
+}
+
+/// Drops spheres whose samples the others cover.
+fn prune(samples: &[Sample], mut spheres: Vec<(Point3<f64>, f64)>) -> Vec<(Point3<f64>, f64)> {
+    let covers = |s: &(Point3<f64>, f64), p: &Sample| (p.point - s.0).norm() <= s.1 + p.reach;
+    let mut counts: Vec<u32> =
+        samples.iter().map(|p| spheres.iter().filter(|s| covers(s, p)).count() as u32).collect();
+    let mut i = 0;
+    while i < spheres.len() {
+        let needed = samples.iter().zip(&counts).any(|(p, &n)| n == 1 && covers(&spheres[i], p));
+        if needed {
+            i += 1;
+        } else {
+            let gone = spheres.remove(i);
+            for (p, n) in samples.iter().zip(&mut counts) {
+                *n -= u32::from(covers(&gone, p));
+            }
+        }
+    }
+    spheres
+}
