@@ -18,3 +18,44 @@ pub struct ContactField {
     /// `P_e`: likelihood of a contact centroid, 0 to 1.
     pub centroid: Vec<f32>,
 }
+
+/// What is wrong with a contact field that was made elsewhere.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ContactFieldError {
+    /// An array has not one entry per voxel.
+    #[error("contact_field.{field}: found {found} entries, expected one per voxel = {expected}")]
+    Size {
+        /// Name of the array.
+        field: &'static str,
+        /// Found entries.
+        found: usize,
+        /// Expected entries.
+        expected: usize,
+    },
+}
+
+impl ContactField {
+    /// A field without contacts and centroids.
+    pub fn empty(grid: Grid) -> Self {
+        let n = grid.len();
+        Self { grid, certainty: vec![0.0; n], inward: vec![[0.0; 3]; n], centroid: vec![0.0; n] }
+    }
+
+    /// Checks the sizes of the arrays. Values are not checked: what is not finite counts as 0 in refinement.
+    ///
+    /// # Errors
+    /// [`ContactFieldError`] with the array, what was found and what was expected.
+    pub fn validate(&self) -> Result<(), ContactFieldError> {
+        let expected = self.grid.len();
+        let sizes = [
+            ("certainty", self.certainty.len()),
+            ("inward", self.inward.len()),
+            ("centroid", self.centroid.len()),
+        ];
+        match sizes.into_iter().find(|&(_, found)| found != expected) {
+            Some((field, found)) => Err(ContactFieldError::Size { field, found, expected }),
+            None => Ok(()),
+        }
+    }
+}

@@ -52,3 +52,48 @@ impl Grid {
         Point3::new((voxel[0] as f64 + 0.5) * v, (voxel[1] as f64 + 0.5) * v, (voxel[2] as f64 + 0.5) * v)
     }
 }
+
+/// What is wrong with a grid.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum GridError {
+    /// Too few or too many voxels.
+    #[error(
+        "grid.resolution: found {found}, expected {MIN_RESOLUTION} to {MAX_RESOLUTION} voxels along each edge"
+    )]
+    Resolution {
+        /// Found voxels along an edge.
+        found: usize,
+    },
+    /// No size for a workspace.
+    #[error("grid.size_m: found {found}, expected {MIN_SIZE_M} to {MAX_SIZE_M} metres")]
+    Size {
+        /// Found edge length, metres.
+        found: f64,
+    },
+}
+
+/// Smallest accepted resolution.
+pub const MIN_RESOLUTION: usize = 8;
+/// Largest accepted resolution.
+pub const MAX_RESOLUTION: usize = 256;
+/// Smallest accepted edge length, metres.
+pub const MIN_SIZE_M: f64 = 0.01;
+/// Largest accepted edge length, metres.
+pub const MAX_SIZE_M: f64 = 10.0;
+
+impl Grid {
+    /// Checks resolution and size.
+    ///
+    /// # Errors
+    /// [`GridError`] with the field, what was found and what was expected.
+    pub fn validate(&self) -> Result<(), GridError> {
+        if !(MIN_RESOLUTION..=MAX_RESOLUTION).contains(&self.resolution) {
+            return Err(GridError::Resolution { found: self.resolution });
+        }
+        if !(MIN_SIZE_M..=MAX_SIZE_M).contains(&self.size_m) {
+            return Err(GridError::Size { found: self.size_m });
+        }
+        Ok(())
+    }
+}

@@ -5,13 +5,14 @@ use std::time::Duration;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
 use crate::budget::Budget;
-use crate::contact_field::ContactField;
+use crate::contact_field::{ContactField, ContactFieldError};
 use crate::estimator::ContactEstimator;
-use crate::frame::Frame;
-use crate::options::SceneOptions;
-use crate::refine::Features;
-use crate::volume::Volume;
-use crate::workspace::Workspace;
+use crate::frame::{CleanOptions, Frame, FrameError, clean_depth};
+use crate::grid::{Grid, GridError};
+use crate::options::{SceneOptions, WorkspaceRequest};
+use crate::refine::{Features, refine};
+use crate::volume::{Volume, VoxelState};
+use crate::workspace::{Workspace, frame_points};
 
 /// One observation, refined: the input of every hand's optimization.
 #[derive(Debug, Clone)]
@@ -28,8 +29,24 @@ pub struct Scene {
     pub world_from_camera: Isometry3<f64>,
     /// From the first camera towards the middle of what it sees, volume frame.
     pub view_direction: Unit<Vector3<f64>>,
+    /// What stands in the workspace.
+    pub observation: Observation,
     /// Durations of the stages so far, in order: `frame`, `volume`, `estimate`, `refine`.
     pub stages: Vec<(&'static str, Duration)>,
+}
+
+/// What the frames show in the workspace.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Observation {
+    /// No surface was seen in the workspace.
+    NothingSeen,
+    /// A table was seen, and nothing that stands on it.
+    EmptyTable,
+    /// Objects.
+    Objects {
+        /// Voxels of objects, completed down to the table.
+        voxels: usize,
+    },
 }
 
 /// Why frames do not make a scene.
@@ -39,6 +56,54 @@ pub enum SceneError {
     /// There is no frame.
     #[error("frames: empty, expected at least one depth frame")]
     NoFrames,
+    /// A frame cannot be read.
+    #[error("frames[{index}].{source}")]
+    Frame {
+        /// Position of the frame.
+        index: usize,
+        /// What is wrong with it.
+        source: FrameError,
+    },
+    /// One of several frames has no pose, so that nobody knows how they fit together.
+    #[error("frames[{index}].world_from_camera: missing, expected a pose on every one of {count} frames")]
+    MissingPose {
+        /// Position of the first frame without a pose.
+        index: usize,
+        /// Number of frames.
+        count: usize,
+    },
+    /// The grid is of no use.
+    #[error("{0}")]
+    Grid(#[from] GridError),
+    /// A pose of the workspace has a value that is not a number, or a table height outside the cube.
+    #[error("workspace.{field}: found {found}, expected {expected}")]
+    Workspace {
+        /// `world_from_volume` or `table_m`.
+        field: &'static str,
+        /// Found value.
+        found: String,
+        /// What is expected.
+        expected: String,
+    },
+    /// A threshold is not a share.
+    #[error("{field}: found {found}, expected a share from 0 to 1")]
+    Threshold {
+        /// `focal_contact_threshold` or `focal_centroid_threshold`.
+        field: &'static str,
+        /// Found value.
+        found: f64,
+    },
+    /// A contact field's arrays do not fit its grid.
+    #[error("{0}")]
+    ContactField(#[from] ContactFieldError),
+    /// The solid voxels do not fit the contact field's grid.
+    #[error("solid: found {found} entries, expected one per voxel = {expected}")]
+    SolidSize {
+        /// Found entries.
+        found: usize,
+        /// Expected entries.
+        expected: usize,
+    },
     /// Work had to stop.
     #[error("stopped: {0:?}")]
     Stopped(crate::budget::Stop),
@@ -46,27 +111,210 @@ pub enum SceneError {
 
 /// Runs frame → volume → contact field → features, once for any number of hands.
 ///
+/// With several frames every one needs a pose; a single frame without a pose makes its camera frame the world.
+///
 /// # Errors
-/// [`SceneError`] for frames that cannot be read. A frame in which nothing is seen is not an error: it
-/// gives a scene with empty features.
+/// [`SceneError`] for frames or options that cannot be read, and when the budget ended. A frame in which nothing
+/// is seen is not an error: it gives a scene with empty features.
 pub fn prepare(
-    _frames: &[Frame],
-    _options: &SceneOptions,
-    _estimator: &dyn ContactEstimator,
-    _budget: &dyn Budget,
+    frames: &[Frame],
+    options: &SceneOptions,
+    estimator: &dyn ContactEstimator,
+    budget: &dyn Budget,
 ) -> Result<Scene, SceneError> {
-    Err(SceneError::NoFrames)
+    let mut stages = Stages::new(budget);
+    let first = frames.first().ok_or(SceneError::NoFrames)?;
+    for (index, frame) in frames.iter().enumerate() {
+        frame.validate().map_err(|source| SceneError::Frame { index, source })?;
+    }
+    if frames.len() > 1
+        && let Some(index) = frames.iter().position(|f| f.world_from_camera.is_none())
+    {
+        return Err(SceneError::MissingPose { index, count: frames.len() });
+    }
+    validate(options)?;
+
+    let clean = CleanOptions::default();
+    let depths: Vec<Vec<f32>> = frames.iter().map(|f| clean_depth(&f.image, &clean)).collect();
+    let points = frame_points(first, &depths[0]);
+    let workspace = Workspace::place(&options.workspace, options.grid, &points);
+    stages.end("frame")?;
+
+    let mut volume = Volume::empty(workspace.grid, workspace.table_m);
+    for (frame, depth) in frames.iter().zip(&depths) {
+        let world_from_camera = frame.world_from_camera.unwrap_or_else(Isometry3::identity);
+        volume.integrate(frame, depth, &(world_from_camera.inverse() * workspace.world_from_volume));
+    }
+    let solid = volume.solid();
+    let objects = volume.objects(&solid);
+    let observation = observe(&volume, &objects);
+    stages.end("volume")?;
+
+    let contact_field = estimator.estimate(&volume, budget).map_err(SceneError::Stopped)?;
+    contact_field.validate()?;
+    stages.end("estimate")?;
+
+    let features = refine(&contact_field, &solid, volume.table_m, volume.voxel_labels(), options);
+    let world_from_camera = points.world_from_camera;
+    let eye = (workspace.world_from_volume.inverse() * world_from_camera) * Point3::origin();
+    let view_direction = view_direction(&workspace.grid, &objects, &eye);
+    stages.end("refine")?;
+    Ok(Scene {
+        workspace,
+        volume,
+        contact_field,
+        features,
+        world_from_camera,
+        view_direction,
+        observation,
+        stages: stages.done,
+    })
 }
 
 /// A scene from a contact field that was made elsewhere, with the solid voxels that came with it.
 ///
-/// The volume's frame is the world frame, the camera looks down from above its middle.
+/// The volume's frame is the world frame, the camera looks down from above its middle. The field brings its own
+/// grid; of the options the thresholds count, and the table height of a placed workspace. Without one, the table is
+/// the top of the lowest layers that are solid nearly all over, if there are such.
+///
+/// # Errors
+/// [`SceneError`] for arrays that do not fit the grid, for options out of range and when the budget ended.
 pub fn from_contact_field(
-    _field: ContactField,
-    _solid: &[bool],
-    _options: &SceneOptions,
-    _budget: &dyn Budget,
+    field: ContactField,
+    solid: &[bool],
+    options: &SceneOptions,
+    budget: &dyn Budget,
 ) -> Result<Scene, SceneError> {
-    let _ = Point3::<f64>::origin();
-    Err(SceneError::NoFrames)
+    let mut stages = Stages::new(budget);
+    let grid = field.grid;
+    grid.validate()?;
+    validate(options)?;
+    field.validate()?;
+    if solid.len() != grid.len() {
+        return Err(SceneError::SolidSize { found: solid.len(), expected: grid.len() });
+    }
+    let table_m = match options.workspace {
+        WorkspaceRequest::Placed { table_m: Some(table_m), .. } => Some(table_m),
+        _ => solid_floor(&grid, solid),
+    };
+    let workspace = Workspace { world_from_volume: Isometry3::identity(), grid, table_m };
+    let volume = Volume::from_solid(grid, table_m, solid);
+    let objects = volume.objects(solid);
+    let observation = observe(&volume, &objects);
+    stages.end("volume")?;
+    let features = refine(&field, solid, table_m, None, options);
+    stages.end("refine")?;
+    // Above the middle by the cube's own height, looking down.
+    let eye = Point3::new(0.5 * grid.size_m, 0.5 * grid.size_m, 2.0 * grid.size_m);
+    let rotation = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    Ok(Scene {
+        workspace,
+        volume,
+        contact_field: field,
+        features,
+        world_from_camera: Isometry3::from_parts(eye.coords.into(), rotation),
+        view_direction: -Vector3::z_axis(),
+        observation,
+        stages: stages.done,
+    })
 }
+
+/// Stage durations from a budget's clock.
+struct Stages<'a> {
+    budget: &'a dyn Budget,
+    since: Duration,
+    done: Vec<(&'static str, Duration)>,
+}
+
+impl<'a> Stages<'a> {
+    fn new(budget: &'a dyn Budget) -> Self {
+        Self { budget, since: budget.elapsed(), done: Vec::new() }
+    }
+
+    /// Ends a stage; an error when work has to stop.
+    fn end(&mut self, name: &'static str) -> Result<(), SceneError> {
+        let now = self.budget.elapsed();
+        self.done.push((name, now.saturating_sub(self.since)));
+        self.since = now;
+        self.budget.stop().map_or(Ok(()), |stop| Err(SceneError::Stopped(stop)))
+    }
+}
+
+fn validate(options: &SceneOptions) -> Result<(), SceneError> {
+    options.grid.validate()?;
+    for (field, found) in [
+        ("focal_contact_threshold", options.focal_contact_threshold),
+        ("focal_centroid_threshold", options.focal_centroid_threshold),
+    ] {
+        if !(0.0..=1.0).contains(&found) {
+            return Err(SceneError::Threshold { field, found });
+        }
+    }
+    if let WorkspaceRequest::Placed { world_from_volume, table_m } = options.workspace {
+        let size = options.grid.size_m;
+        let t = world_from_volume.translation.vector;
+        let norm = world_from_volume.rotation.as_ref().norm();
+        if !t.iter().all(|v| v.is_finite()) || norm.is_nan() || (norm - 1.0).abs() > 1e-3 {
+            return Err(SceneError::Workspace {
+                field: "world_from_volume",
+                found: format!("translation ({}, {}, {}), quaternion of length {norm}", t.x, t.y, t.z),
+                expected: "a finite translation and a unit quaternion".into(),
+            });
+        }
+        if let Some(table) = table_m
+            && !(0.0..size).contains(&table)
+        {
+            return Err(SceneError::Workspace {
+                field: "table_m",
+                found: table.to_string(),
+                expected: format!("a height inside the cube, 0 to {size} m"),
+            });
+        }
+    }
+    Ok(())
+}
+
+fn observe(volume: &Volume, objects: &[bool]) -> Observation {
+    let voxels = objects.iter().filter(|&&o| o).count();
+    if voxels > 0 {
+        Observation::Objects { voxels }
+    } else if volume.state.contains(&VoxelState::Surface) {
+        Observation::EmptyTable
+    } else {
+        Observation::NothingSeen
+    }
+}
+
+/// From `eye` (volume frame) towards the mean of the object voxels, or the cube's middle without objects.
+fn view_direction(grid: &Grid, objects: &[bool], eye: &Point3<f64>) -> Unit<Vector3<f64>> {
+    let (mut count, mut sum) = (0usize, [0usize; 3]);
+    for i in (0..objects.len()).filter(|&i| objects[i]) {
+        let voxel = grid.voxel(i);
+        count += 1;
+        for a in 0..3 {
+            sum[a] += voxel[a];
+        }
+    }
+    let middle = if count > 0 {
+        Point3::from(sum.map(|s| (s as f64 / count as f64 + 0.5) * grid.voxel_m()))
+    } else {
+        let half = 0.5 * grid.size_m;
+        Point3::new(half, half, half)
+    };
+    Unit::try_new(middle - eye, 1e-9).unwrap_or_else(|| -Vector3::z_axis())
+}
+
+/// Top of the lowest layers that are solid to nine tenths.
+fn solid_floor(grid: &Grid, solid: &[bool]) -> Option<f64> {
+    let n = grid.resolution;
+    let mut filled = vec![0usize; n];
+    for (i, _) in solid.iter().enumerate().filter(|&(_, &s)| s) {
+        filled[i % n] += 1;
+    }
+    let layers = filled.iter().take_while(|&&f| 10 * f >= 9 * n * n).count();
+    // A cube that is solid to the top has no table.
+    (layers > 0 && layers < n).then(|| layers as f64 * grid.voxel_m())
+}
+
+#[cfg(test)]
+mod tests;

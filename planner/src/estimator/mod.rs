@@ -1,5 +1,12 @@
 //! Contact estimation: from an observed volume to a contact field, behind one trait.
 
+mod centroids;
+mod chords;
+mod geometric;
+mod smoothing;
+
+pub use geometric::Geometric;
+
 use crate::budget::{Budget, Stop};
 use crate::contact_field::ContactField;
 use crate::volume::Volume;

@@ -1,12 +1,25 @@
 //! Refinement: from a contact field to focal contacts, centred centroids and the fields that the optimizer reads.
 
 mod cells;
+mod cluster;
+mod distance;
 
 pub use cells::{CHANNELS, Cell, FieldCells, Sample};
+pub use cluster::{EPS_M, MIN_POINTS, dbscan};
+pub use distance::{distance_to, signed_distance_m};
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 
+use crate::contact_field::ContactField;
 use crate::grid::Grid;
+use crate::options::SceneOptions;
+
+/// Clusters of fewer focal centroids are dropped when a larger one exists.
+pub const MIN_CLUSTER: usize = 10;
+
+/// Below this share of the largest certainty a voxel's own direction is not trusted.
+const TINY_CERTAINTY: f32 = 0.05;
 
 /// A centred centroid `s_ee`: where the middle of a grasp's contacts should come to lie.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,6 +30,8 @@ pub struct CenteredCentroid {
     pub weight: f64,
     /// Voxels in the cluster.
     pub voxel_count: usize,
+    /// Label of the nearest labelled object voxel, where the frames had labels.
+    pub label: Option<u8>,
 }
 
 /// What is left of a contact field after refinement, ready for any number of hands.
@@ -38,3 +53,162 @@ pub struct Features {
     /// Height of the table top in the volume, metres; solid below.
     pub table_m: Option<f64>,
 }
+
+/// Refines a contact field (Supplementary Note 3).
+///
+/// Focal contacts and focal centroids are the voxels above a share of their field's maximum; focal centroids are
+/// clustered by [`dbscan`] into centred centroids. `solid` is what a hand must not enter, one entry per voxel;
+/// `labels` the object label of each voxel, 0 for none. Values that are not finite count as 0, so a field loaded
+/// from elsewhere cannot spoil the optimization; an empty field gives empty features.
+pub fn refine(
+    field: &ContactField,
+    solid: &[bool],
+    table_m: Option<f64>,
+    labels: Option<&[u8]>,
+    options: &SceneOptions,
+) -> Features {
+    let grid = field.grid;
+    let (focal_contacts, largest) = above_share(&field.certainty, options.focal_contact_threshold);
+    let (focal_centroids, _) = above_share(&field.centroid, options.focal_centroid_threshold);
+    let centroids = centered(&grid, &focal_centroids, labels, table_m);
+
+    let mut is_focal = vec![false; grid.len()];
+    for &i in &focal_contacts {
+        is_focal[i as usize] = true;
+    }
+    let contact_distance = distance_to(&grid, |i| is_focal[i]);
+    let scene_distance_m = signed_distance_m(&grid, solid);
+    let cells = fill(field, largest, contact_distance.as_deref(), &scene_distance_m);
+    Features {
+        grid,
+        focal_contacts,
+        focal_centroid_count: focal_centroids.len(),
+        centroids,
+        cells: FieldCells { grid, cells },
+        scene_distance_m,
+        table_m,
+    }
+}
+
+fn finite(v: f32) -> f32 {
+    if v.is_finite() { v } else { 0.0 }
+}
+
+/// Memory positions of the values above `share` of the largest, and the largest (0 for an empty field).
+fn above_share(values: &[f32], share: f64) -> (Vec<u32>, f32) {
+    let largest = values.par_iter().map(|&v| finite(v)).reduce(|| 0.0, f32::max);
+    if largest <= 0.0 {
+        return (Vec::new(), 0.0);
+    }
+    let threshold = (f64::from(largest) * share.clamp(0.0, 1.0)) as f32;
+    let above = |v: f32| {
+        let v = finite(v);
+        // A share of 1 leaves the maximum itself.
+        v > 0.0 && (v > threshold || v >= largest)
+    };
+    let found = values.iter().enumerate().filter(|&(_, &v)| above(v)).map(|(i, _)| i as u32).collect();
+    (found, largest)
+}
+
+/// Clusters focal centroids; heaviest first, equal ones in memory order.
+fn centered(
+    grid: &Grid,
+    focal: &[u32],
+    labels: Option<&[u8]>,
+    table_m: Option<f64>,
+) -> Vec<CenteredCentroid> {
+    let mut clusters = dbscan(grid, focal, EPS_M, MIN_POINTS);
+    if clusters.iter().any(|c| c.len() >= MIN_CLUSTER) {
+        clusters.retain(|c| c.len() >= MIN_CLUSTER);
+    }
+    clusters.sort_by_key(|c| std::cmp::Reverse(c.len()));
+    let total: usize = clusters.iter().map(Vec::len).sum();
+    let named = labels.map(|labels| labelled(grid, labels, table_m));
+    clusters
+        .iter()
+        .map(|cluster| {
+            let sum = cluster
+                .iter()
+                .fold(Vector3::zeros(), |sum, &i| sum + grid.center(grid.voxel(i as usize)).coords);
+            let position = Point3::from(sum / cluster.len() as f64);
+            let nearest = named.as_ref().and_then(|named| {
+                named.iter().min_by(|a, b| {
+                    (a.0 - position).norm_squared().total_cmp(&(b.0 - position).norm_squared())
+                })
+            });
+            CenteredCentroid {
+                position,
+                weight: cluster.len() as f64 / total as f64,
+                voxel_count: cluster.len(),
+                label: nearest.map(|&(_, label)| label),
+            }
+        })
+        .collect()
+}
+
+/// Labelled voxels above the table.
+fn labelled(grid: &Grid, labels: &[u8], table_m: Option<f64>) -> Vec<(Point3<f64>, u8)> {
+    let floor = table_m.map_or(f64::NEG_INFINITY, |t| t + grid.voxel_m());
+    labels
+        .iter()
+        .enumerate()
+        .filter(|&(_, &label)| label != 0)
+        .map(|(i, &label)| (grid.center(grid.voxel(i)), label))
+        .filter(|(p, _)| p.z >= floor)
+        .collect()
+}
+
+/// Interleaves the fields.
+///
+/// The direction field is defined wherever there is a focal contact: where a voxel's own certainty is tiny its
+/// direction is the one that leads through the nearest focal contact into the object, which is down the distance
+/// field in free space and up the distance field inside the solid.
+fn fill(
+    field: &ContactField,
+    largest: f32,
+    contact_distance: Option<&[f32]>,
+    scene_distance_m: &[f32],
+) -> Vec<Cell> {
+    let grid = field.grid;
+    let n = grid.resolution;
+    let voxel = grid.voxel_m() as f32;
+    let scale = if largest > 0.0 { 1.0 / largest } else { 0.0 };
+    let mut cells = vec![Cell::default(); grid.len()];
+    if n == 0 {
+        return cells;
+    }
+    cells.par_chunks_mut(n).enumerate().for_each(|(row, cells)| {
+        let (x, y) = (row / n, row % n);
+        for (z, cell) in cells.iter_mut().enumerate() {
+            let i = row * n + z;
+            let certainty = (finite(field.certainty.get(i).copied().unwrap_or(0.0)) * scale).max(0.0);
+            let scene = scene_distance_m[i];
+            let own = unit(field.inward.get(i).copied().unwrap_or_default().map(finite));
+            let direction = match (own, contact_distance) {
+                (Some(own), _) if certainty >= TINY_CERTAINTY => own,
+                (own, Some(distance)) => {
+                    let difference = |at: usize, stride: usize| {
+                        let (low, high) = (at.saturating_sub(1), (at + 1).min(n - 1));
+                        distance[i + (high - at) * stride] - distance[i - (at - low) * stride]
+                    };
+                    let gradient = [difference(x, n * n), difference(y, n), difference(z, 1)];
+                    let sign = if scene > 0.0 { -1.0 } else { 1.0 };
+                    unit(gradient.map(|g| sign * g)).or(own).unwrap_or_default()
+                }
+                (own, None) => own.unwrap_or_default(),
+            };
+            let distance = contact_distance.map_or(grid.size_m as f32, |d| d[i] * voxel);
+            let [dx, dy, dz] = direction;
+            cell.0 = [distance, certainty, dx, dy, dz, scene, 0.0, 0.0];
+        }
+    });
+    cells
+}
+
+fn unit(v: [f32; 3]) -> Option<[f32; 3]> {
+    let norm = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+    (norm > 1e-6 && norm.is_finite()).then(|| v.map(|c| c / norm))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,258 @@
+//! The geometric rule: contacts from the shape that was seen, without a network.
+//!
+//! Supplementary Note 6 makes geometric alternatives to estimated contacts from scanned object models: candidates
+//! near surfaces, certainty falling with distance, directions along normals, centroids from occupancy. Here
+//! the same is made of one observed volume, and of the candidates those are preferred that a hand can use: with a
+//! surface opposite within reach, and room for fingers at both ends.
+
+use rayon::prelude::*;
+
+use super::ContactEstimator;
+use super::centroids::normalized;
+use super::chords::{Body, MAX_CHORD_M};
+use super::smoothing::{Region, smooth};
+use crate::budget::{Budget, Stop};
+use crate::contact_field::ContactField;
+use crate::grid::Grid;
+use crate::volume::{Volume, VoxelState};
+
+/// Certainty of a contact that has nothing opposite to it, relative to the best.
+const UNOPPOSED: f32 = 0.25;
+/// Certainty one shell of voxels further out, relative to the shell that touches the surface.
+const SECOND_SHELL: f32 = 0.6;
+/// Factor for contacts of which one end of the chord is in space that no frame looked at: there the shape is a
+/// guess.
+const UNSEEN: f32 = 0.8;
+/// Margin around the objects in which smoothing works, voxels: two passes of two.
+const MARGIN_VOXELS: usize = 4;
+/// Directions whose horizontal part is at least this also try the horizontal direction.
+const FLATTENABLE: f32 = 0.5;
+/// Chords up to this length are equally good, metres; longer ones fall off to half at the longest.
+const EASY_CHORD_M: f32 = 0.07;
+
+/// The estimator.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Geometric;
+
+/// What one surface voxel found.
+struct Contact {
+    /// Memory position.
+    index: usize,
+    /// 0 to 1.
+    quality: f32,
+    inward: [f32; 3],
+    /// Middle of its chord (voxel units) and the weight of its vote.
+    vote: Option<([f32; 3], f32)>,
+}
+
+impl ContactEstimator for Geometric {
+    fn name(&self) -> &str {
+        "geometric"
+    }
+
+    fn estimate(&self, volume: &Volume, budget: &dyn Budget) -> Result<ContactField, Stop> {
+        let grid = volume.grid;
+        let solid = volume.solid();
+        let mut object = volume.objects(&solid);
+        if let Some(stop) = budget.stop() {
+            return Err(stop);
+        }
+        if !object.contains(&true) {
+            return Ok(ContactField::empty(grid));
+        }
+        extend_into_table(volume, &mut object);
+        let Some(region) = Region::around(&grid, &object, MARGIN_VOXELS) else {
+            return Ok(ContactField::empty(grid));
+        };
+        // Two passes: a standard deviation of 1.4 voxels, enough that a staircase of voxels has smooth normals.
+        let occupied: Vec<f32> = object.iter().map(|&o| if o { 1.0 } else { 0.0 }).collect();
+        let density = smooth(&grid, &smooth(&grid, &occupied, &region), &region);
+        let floor = volume.table_layer();
+        let body = Body {
+            grid: &grid,
+            object: &object,
+            solid: &solid,
+            state: &volume.state,
+            density: &density,
+            floor,
+        };
+        let contacts = contacts(volume, &body);
+        if let Some(stop) = budget.stop() {
+            return Err(stop);
+        }
+
+        let mut field = ContactField::empty(grid);
+        spread(&mut field, &contacts, &solid, volume.first_object_layer());
+        let mut votes = vec![0.0f32; grid.len()];
+        for (middle, weight) in contacts.iter().filter_map(|c| c.vote) {
+            if let Some(i) = body.at(middle) {
+                votes[i] += weight;
+            }
+        }
+        let votes = smooth(&grid, &smooth(&grid, &votes, &region), &region);
+        field.centroid = normalized(&grid, &votes);
+        Ok(field)
+    }
+}
+
+/// Objects that touch the table are continued below it, so that the smoothed shape has upright sides down to
+/// the table instead of a rounded foot.
+fn extend_into_table(volume: &Volume, object: &mut [bool]) {
+    let n = volume.grid.resolution;
+    let first = volume.first_object_layer();
+    if first == 0 || first >= n {
+        return;
+    }
+    for column in object.chunks_mut(n) {
+        if column[first] {
+            column[..first].fill(true);
+        }
+    }
+}
+
+/// Judges every voxel outside the solid that touches an object over a face.
+fn contacts(volume: &Volume, body: &Body<'_>) -> Vec<Contact> {
+    let grid = &volume.grid;
+    let n = grid.resolution;
+    let first = volume.first_object_layer();
+    (0..n * n)
+        .into_par_iter()
+        .flat_map_iter(|row| {
+            let (x, y) = (row / n, row % n);
+            (first..n).filter_map(move |z| {
+                let i = row * n + z;
+                if body.solid[i] {
+                    return None;
+                }
+                let o = body.object;
+                let touches = (x > 0 && o[i - n * n])
+                    || (x + 1 < n && o[i + n * n])
+                    || (y > 0 && o[i - n])
+                    || (y + 1 < n && o[i + n])
+                    || (z > 0 && o[i - 1])
+                    || (z + 1 < n && o[i + 1]);
+                touches.then(|| judge(volume, body, i)).flatten()
+            })
+        })
+        .collect()
+}
+
+/// Judges one voxel. Sides of low objects have normals that smoothing against the top has tilted upwards, so that
+/// the chord would end in the table: there the horizontal direction is tried too.
+fn judge(volume: &Volume, body: &Body<'_>, index: usize) -> Option<Contact> {
+    let inward = body.outward(index)?.map(|c| -c);
+    let start = volume.grid.voxel(index).map(|c| c as f32);
+    let along = follow(volume, body, index, start, inward, 1.0);
+    let flat = inward[0].hypot(inward[1]);
+    let level = (flat > FLATTENABLE && flat < 0.98).then(|| {
+        let direction = [inward[0] / flat, inward[1] / flat, 0.0];
+        follow(volume, body, index, start, direction, flat)
+    });
+    match level {
+        Some(level) if level.quality > along.quality => Some(level),
+        _ => Some(along),
+    }
+}
+
+fn follow(
+    volume: &Volume,
+    body: &Body<'_>,
+    index: usize,
+    start: [f32; 3],
+    inward: [f32; 3],
+    trust: f32,
+) -> Contact {
+    let mut contact = Contact { index, quality: UNOPPOSED, inward, vote: None };
+    let mut seen = volume.state[index] != VoxelState::Unseen;
+    // A contact that presses upwards from below an overhang is rarely reachable.
+    contact.quality *= 1.0 - 0.5 * inward[2].max(0.0);
+    if let Some(chord) = body.chord(start, inward) {
+        let opposed = trust * ramp(chord.opposition, 0.6, 0.9);
+        let length_m = chord.length * volume.grid.voxel_m() as f32;
+        let reach = 1.0 - 0.5 * ramp(length_m, EASY_CHORD_M, MAX_CHORD_M);
+        let quality = opposed * (0.4 + 0.6 * chord.room) * reach * (1.0 - 0.4 * inward[2] * inward[2]);
+        contact.quality += (1.0 - UNOPPOSED) * quality;
+        seen &= chord.exit_seen;
+        if quality > 0.0 {
+            let middle = std::array::from_fn(|a| 0.5 * (start[a] + chord.exit[a]));
+            contact.vote = Some((middle, quality));
+        }
+    }
+    if !seen {
+        contact.quality *= UNSEEN;
+    }
+    contact
+}
+
+/// 0 below `low`, 1 above `high`, linear between.
+fn ramp(value: f32, low: f32, high: f32) -> f32 {
+    ((value - low) / (high - low)).clamp(0.0, 1.0)
+}
+
+/// Smooths quality and direction along the surface, carries both to a second shell of voxels, and scales so that
+/// the best contact has certainty 1.
+fn spread(field: &mut ContactField, contacts: &[Contact], solid: &[bool], floor: usize) {
+    let grid = field.grid;
+    let n = grid.resolution;
+    // Number of the contact at each voxel, plus one.
+    let mut slot = vec![0u32; grid.len()];
+    for (k, c) in contacts.iter().enumerate() {
+        slot[c.index] = k as u32 + 1;
+    }
+    let mut reached = vec![false; grid.len()];
+    let mut second = Vec::new();
+    for c in contacts {
+        let [x, y, z] = grid.voxel(c.index);
+        let mut visit = |inside: bool, i: usize| {
+            if inside && slot[i] == 0 && !solid[i] && !std::mem::replace(&mut reached[i], true) {
+                second.push(i);
+            }
+        };
+        visit(x > 0, c.index.wrapping_sub(n * n));
+        visit(x + 1 < n, c.index + n * n);
+        visit(y > 0, c.index.wrapping_sub(n));
+        visit(y + 1 < n, c.index + n);
+        visit(z > floor, c.index.wrapping_sub(1));
+        visit(z + 1 < n, c.index + 1);
+    }
+    let shells: Vec<(usize, f32)> = contacts
+        .iter()
+        .map(|c| (c.index, 1.0))
+        .chain(second.into_iter().map(|i| (i, SECOND_SHELL)))
+        .collect();
+    let values: Vec<(f32, [f32; 3])> =
+        shells.par_iter().map(|&(i, distance)| blend(&grid, &slot, contacts, i, distance)).collect();
+    let largest = values.iter().map(|v| v.0).fold(0.0, f32::max);
+    if largest > 0.0 {
+        for (&(i, _), (certainty, inward)) in shells.iter().zip(values) {
+            field.certainty[i] = certainty / largest;
+            field.inward[i] = inward;
+        }
+    }
+}
+
+/// Mean quality, times `distance`, and direction of the contacts among a voxel and its 26 neighbours, with weights
+/// 1 2 1 along each axis.
+fn blend(grid: &Grid, slot: &[u32], contacts: &[Contact], i: usize, distance: f32) -> (f32, [f32; 3]) {
+    let n = grid.resolution;
+    let [x, y, z] = grid.voxel(i);
+    let (mut count, mut quality, mut sum) = (0.0, 0.0, [0.0f32; 3]);
+    let around = |c: usize| c.saturating_sub(1)..(c + 2).min(n);
+    for a in around(x) {
+        for b in around(y) {
+            for c in around(z) {
+                let Some(k) = slot[grid.index(a, b, c)].checked_sub(1) else { continue };
+                let contact = &contacts[k as usize];
+                let off = a.abs_diff(x) + b.abs_diff(y) + c.abs_diff(z);
+                let w = [8.0, 4.0, 2.0, 1.0][off];
+                count += w;
+                quality += w * contact.quality;
+                for (s, d) in sum.iter_mut().zip(contact.inward) {
+                    *s += w * contact.quality * d;
+                }
+            }
+        }
+    }
+    let norm = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
+    if norm > 1e-6 { (distance * quality / count, sum.map(|s| s / norm)) } else { (0.0, [0.0; 3]) }
+}

@@ -1,0 +1,104 @@
+//! What a hand must not enter: the observed surfaces, completed downwards to the table.
+//!
+//! The paper's occupancy takes everything unseen as occupied; that is right for a network that was trained so,
+//! and stays its input. As collision geometry it would forbid every finger behind an object, because the
+//! shadow of an object seen from one side reaches to the volume's wall. Objects rest on the table, so here the
+//! unseen below an observed surface, in the same column, belongs to the object; the rest of the shadow is
+//! unknown, not solid.
+
+use rayon::prelude::*;
+
+use super::{Volume, VoxelState};
+
+/// Groups of connected object voxels smaller than this are sensor noise.
+pub const MIN_OBJECT_VOXELS: usize = 20;
+
+impl Volume {
+    /// Solid voxels, memory order: observed surfaces, unseen voxels below an observed object surface in the same
+    /// column down to the table (or to the first voxel seen to be free), and everything below the table top.
+    pub fn solid(&self) -> Vec<bool> {
+        let n = self.grid.resolution;
+        let floor = self.table_layer();
+        let mut solid = vec![false; self.grid.len()];
+        if n == 0 {
+            return solid;
+        }
+        solid.par_chunks_mut(n).zip(self.state.par_chunks(n)).for_each(|(solid, state)| {
+            let mut covered = false;
+            for z in (0..n).rev() {
+                if z < floor {
+                    solid[z] = true;
+                    continue;
+                }
+                match state[z] {
+                    VoxelState::Surface => {
+                        solid[z] = true;
+                        covered = true;
+                    }
+                    VoxelState::Free => covered = false,
+                    VoxelState::Unseen => solid[z] = covered,
+                }
+            }
+        });
+        solid
+    }
+
+    /// The part of `solid` that belongs to objects: at least one voxel above the table top, in connected groups
+    /// (over faces) of at least [`MIN_OBJECT_VOXELS`]. Without a table: all such groups.
+    pub fn objects(&self, solid: &[bool]) -> Vec<bool> {
+        let n = self.grid.resolution;
+        let first = self.first_object_layer();
+        let mut open = solid.to_vec();
+        for column in open.chunks_mut(n.max(1)) {
+            column[..first].fill(false);
+        }
+        let mut objects = vec![false; open.len()];
+        let mut group = Vec::new();
+        for seed in 0..open.len() {
+            if !open[seed] {
+                continue;
+            }
+            open[seed] = false;
+            group.clear();
+            group.push(seed);
+            let mut next = 0;
+            while next < group.len() {
+                let i = group[next];
+                next += 1;
+                let [x, y, z] = self.grid.voxel(i);
+                let mut visit = |inside: bool, j: usize| {
+                    if inside && open[j] {
+                        open[j] = false;
+                        group.push(j);
+                    }
+                };
+                visit(x > 0, i.wrapping_sub(n * n));
+                visit(x + 1 < n, i + n * n);
+                visit(y > 0, i.wrapping_sub(n));
+                visit(y + 1 < n, i + n);
+                visit(z > 0, i.wrapping_sub(1));
+                visit(z + 1 < n, i + 1);
+            }
+            if group.len() >= MIN_OBJECT_VOXELS {
+                for &i in &group {
+                    objects[i] = true;
+                }
+            }
+        }
+        objects
+    }
+
+    /// Number of whole layers below the table top: the voxels whose centre is under it.
+    pub(crate) fn table_layer(&self) -> usize {
+        self.table_m.map_or(0, |t| {
+            ((t / self.grid.voxel_m() - 0.5).ceil().max(0.0) as usize).min(self.grid.resolution)
+        })
+    }
+
+    /// First layer whose voxel centres are at least one voxel above the table top.
+    pub(crate) fn first_object_layer(&self) -> usize {
+        self.table_m.map_or(0, |t| {
+            ((t / self.grid.voxel_m() + 0.5).ceil().max(0.0) as usize).min(self.grid.resolution)
+        })
+    }
+}
