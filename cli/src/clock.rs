@@ -1,6 +1,5 @@
 //! Time for the planner, which has no clock of its own.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use graspd_planner::budget::{Budget, Stop};
@@ -10,18 +9,12 @@ use graspd_planner::budget::{Budget, Stop};
 pub(crate) struct StdBudget {
     start: Instant,
     limit: Option<Duration>,
-    cancelled: AtomicBool,
 }
 
 impl StdBudget {
     /// Starts now and ends after `limit`, or never.
     pub(crate) fn new(limit: Option<Duration>) -> Self {
-        Self { start: Instant::now(), limit, cancelled: AtomicBool::new(false) }
-    }
-
-    /// Asks the work to stop.
-    pub(crate) fn cancel(&self) {
-        self.cancelled.store(true, Ordering::Relaxed);
+        Self { start: Instant::now(), limit }
     }
 }
 
@@ -31,9 +24,6 @@ impl Budget for StdBudget {
     }
 
     fn stop(&self) -> Option<Stop> {
-        if self.cancelled.load(Ordering::Relaxed) {
-            return Some(Stop::Cancelled);
-        }
         self.limit.filter(|&limit| self.start.elapsed() >= limit).map(|_| Stop::Deadline)
     }
 }
@@ -43,12 +33,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stops_after_its_limit_and_when_cancelled() {
+    fn stops_after_its_limit() {
         assert_eq!(StdBudget::new(None).stop(), None);
         assert_eq!(StdBudget::new(Some(Duration::ZERO)).stop(), Some(Stop::Deadline));
         let budget = StdBudget::new(Some(Duration::from_secs(3600)));
         assert_eq!(budget.stop(), None);
-        budget.cancel();
-        assert_eq!(budget.stop(), Some(Stop::Cancelled));
     }
 }

@@ -22,7 +22,7 @@ pub(crate) fn resolve(name: &str) -> anyhow::Result<Hand> {
 
 /// A hand from its folder; the folder's name becomes its id where that is one.
 pub(crate) fn from_folder(path: &Path) -> anyhow::Result<Hand> {
-    let files = temp_read(path)?;
+    let files = graspd_server::read_hand_dir(path)?;
     Hand::load(&id_of(path), &files).with_context(|| format!("{}", path.display()))
 }
 
@@ -88,7 +88,4 @@ mod tests {
         let message = resolve("no-such-gripper-at-all").unwrap_err().to_string();
         assert!(message.contains("known: ") && message.contains("leap"), "{message}");
     }
-}
-fn temp_read(path: &Path) -> anyhow::Result<graspd_hands::HandFiles> {
-    Ok(graspd_hands::HandFiles::new(std::fs::read(path.join("hand.urdf"))?, std::fs::read(path.join("hand.toml"))?))
 }

@@ -16,7 +16,7 @@ use crate::input::{labels, npz};
 use crate::local::{self, Observed};
 use crate::outcome::Outcome;
 use crate::output::{json, table};
-use crate::remote;
+use crate::remote::{self, Question};
 use crate::view::{HandView, ViewScene, page, picture};
 
 /// Plans grasps from a depth image. Ends with 0 also when there is no grasp (the answer says why), with 1 for
@@ -70,7 +70,10 @@ pub(crate) fn run(args: &PlanArgs) -> anyhow::Result<()> {
     let input = Input::open(args)?;
     let wants_view = args.page.is_some() || args.picture.is_some();
     let (hands, outcomes, scene) = if let (Some(url), Input::Files(files)) = (&args.server, &input) {
-        let outcomes = remote::plan(url, files, &scene_options, &options, args.search.budget(), &args.hands)?;
+        let budget = args.search.budget();
+        let question =
+            Question { files, scene: &scene_options, search: &options, budget, hands: &args.hands };
+        let outcomes = remote::plan(url, &question)?;
         // Drawings need the hand's shapes and the scene, which the answer does not carry.
         let scene = if wants_view { Some(input.observed().scene(&scene_options)?) } else { None };
         let hands = args.hands.iter().filter_map(|name| hand_source::resolve(name).ok()).collect();

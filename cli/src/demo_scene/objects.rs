@@ -17,13 +17,9 @@ pub(crate) struct Placed {
 
 impl Placed {
     fn new(shape: Shape, x: f64, y: f64, yaw_deg: f64) -> Self {
-        Self::at(shape, [x, y, 0.0], yaw_deg)
-    }
-
-    fn at(shape: Shape, [x, y, z]: [f64; 3], yaw_deg: f64) -> Self {
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians());
-        let world_from_shape = Isometry3::from_parts(Translation3::new(x, y, z), rotation);
-        Self { shape, shape_from_world: world_from_shape.inverse(), origin: Point3::new(x, y, z) }
+        let world_from_shape = Isometry3::from_parts(Translation3::new(x, y, 0.0), rotation);
+        Self { shape, shape_from_world: world_from_shape.inverse(), origin: Point3::new(x, y, 0.0) }
     }
 
     /// Signed distance at a point of the world, metres.
@@ -35,15 +31,14 @@ impl Placed {
 /// The demo's clutter, world frame (origin in the middle of the table top, z up).
 pub(crate) fn clutter() -> Vec<Placed> {
     vec![
-        Placed::new(Shape::Carton { half: [0.024, 0.042, 0.055] }, -0.095, 0.075, 24.0),
-        Placed::new(Shape::Can { radius: 0.033, height: 0.100 }, -0.005, 0.095, 0.0),
-        Placed::new(Shape::Mug { radius: 0.039, height: 0.090 }, -0.060, -0.060, 200.0),
-        Placed::new(Shape::Bowl { radius: 0.062 }, 0.100, -0.075, 0.0),
-        Placed::new(Shape::Bottle { radius: 0.028, height: 0.150 }, 0.100, 0.085, 0.0),
-        Placed::new(Shape::Ball { radius: 0.031 }, 0.023, 0.012, 0.0),
-        Placed::new(Shape::Roll { radius: 0.018, half_length: 0.040 }, -0.010, -0.135, 12.0),
-        Placed::new(Shape::Carton { half: [0.036, 0.023, 0.017] }, 0.104, 0.018, -20.0),
-        Placed::at(Shape::Carton { half: [0.020, 0.020, 0.020] }, [-0.140, -0.020, 0.0], 40.0),
+        Placed::new(Shape::Carton { half: [0.024, 0.042, 0.055] }, -0.110, 0.095, 24.0),
+        Placed::new(Shape::Can { radius: 0.033, height: 0.100 }, 0.005, 0.120, 0.0),
+        Placed::new(Shape::Mug { radius: 0.039, height: 0.090 }, -0.085, -0.045, 205.0),
+        Placed::new(Shape::Bowl { radius: 0.062 }, 0.110, -0.085, 0.0),
+        Placed::new(Shape::Bottle { radius: 0.028, height: 0.150 }, 0.125, 0.095, 0.0),
+        Placed::new(Shape::Ball { radius: 0.031 }, 0.022, 0.022, 0.0),
+        Placed::new(Shape::Roll { radius: 0.018, half_length: 0.040 }, -0.030, -0.145, 12.0),
+        Placed::new(Shape::Carton { half: [0.036, 0.023, 0.017] }, 0.125, 0.012, -20.0),
     ]
 }
 

@@ -75,8 +75,8 @@ impl Stage {
     fn new(scene: &ViewScene) -> Option<Self> {
         let frame = scene.frame.as_ref()?;
         let up = scene.up();
-        let eye = Point3::from(scene.world_from_camera.translation.vector);
-        let target = scene.middle() + up * 0.055;
+        let target = scene.middle() + up * 0.075;
+        let eye = lowered(&Point3::from(scene.world_from_camera.translation.vector), &target, &up);
         let camera = look(&eye, &target, &(scene.world_from_camera.rotation * -Vector3::y()));
         // From above, to the left of the camera and towards it.
         let left = scene.world_from_camera.rotation * -Vector3::x();
@@ -222,6 +222,22 @@ fn disc(pixels: &mut [[f32; 3]], width: usize, height: usize, [u, v]: [f64; 2], 
     }
 }
 
+/// Largest elevation that a picture is taken from, radians: from higher up palms hide their fingers.
+const HIGHEST: f64 = 0.72;
+
+/// The camera's place, or one straight below it at the same distance where it stands too high. What the
+/// camera could not see lies behind objects and stays hidden from there.
+fn lowered(eye: &Point3<f64>, target: &Point3<f64>, up: &Vector3<f64>) -> Point3<f64> {
+    let out = eye - target;
+    let level = out - up * out.dot(up);
+    match level.try_normalize(1e-6) {
+        Some(level) if out.dot(up) > out.norm() * HIGHEST.sin() => {
+            target + (level * HIGHEST.cos() + up * HIGHEST.sin()) * out.norm()
+        }
+        _ => *eye,
+    }
+}
+
 /// A camera at `eye` whose picture's middle is `target`, zoomed on what the planner looks at.
 fn look(eye: &Point3<f64>, target: &Point3<f64>, up: &Vector3<f64>) -> Pinhole {
     let z = (target - eye).normalize();
@@ -229,7 +245,7 @@ fn look(eye: &Point3<f64>, target: &Point3<f64>, up: &Vector3<f64>) -> Pinhole {
     let y = z.cross(&x);
     let rotation = Rotation3::from_basis_unchecked(&[x, y, z]);
     let pose = Isometry3::from_parts(Translation3::from(eye.coords), UnitQuaternion::from_rotation_matrix(&rotation));
-    let half_height_m = 0.185;
+    let half_height_m = 0.215;
     Pinhole {
         focal_px: (TILE[1] * FINE) as f64 / 2.0 * (target - eye).norm() / half_height_m,
         center_px: [(TILE[0] * FINE) as f64 / 2.0 - 0.5, (TILE[1] * FINE) as f64 / 2.0 - 0.5],
