@@ -1,6 +1,7 @@
 //! Adam in the tangent space of a configuration, with step lengths that fit a hand.
 
 use crate::hand_model::HandModel;
+use crate::options::Scheme;
 
 /// Step lengths and decay rates.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -11,7 +12,8 @@ pub struct StepSizes {
     pub rotation_rad: f64,
     /// Fingers: metres of fingertip motion a step; see the hand model's step scale.
     pub finger_m: f64,
-    /// Share of the step length that is left at the end; it falls along a half cosine.
+    /// Share of the step length that is left at the end. Steps are full until penetration counts, then they
+    /// shrink along a half cosine: the hand first goes where contacts are, then settles among obstacles.
     pub final_share: f64,
     /// Decay of the first moment.
     pub beta1: f64,
@@ -23,12 +25,24 @@ impl Default for StepSizes {
     fn default() -> Self {
         Self {
             translation_m: 1e-3,
-            rotation_rad: 1e-2,
+            rotation_rad: 1.5e-2,
             finger_m: 1e-3,
             final_share: 0.1,
             beta1: 0.9,
             beta2: 0.999,
         }
+    }
+}
+
+impl StepSizes {
+    /// Share of the step length at iteration `k` of a scheme.
+    pub(crate) fn share(&self, k: usize, scheme: Scheme) -> f64 {
+        let first = scheme.iterations.saturating_sub(scheme.with_penetration);
+        if k < first {
+            return 1.0;
+        }
+        let progress = (k - first) as f64 / (scheme.iterations - first).max(1) as f64;
+        self.final_share + (1.0 - self.final_share) * 0.5 * (1.0 + (std::f64::consts::PI * progress).cos())
     }
 }
 

@@ -109,9 +109,7 @@ impl Candidate {
             if self.keep_trace {
                 self.trace.push(terms);
             }
-            let progress = k as f64 / scheme.iterations.max(1) as f64;
-            let share = sizes.final_share
-                + (1.0 - sizes.final_share) * 0.5 * (1.0 + (std::f64::consts::PI * progress).cos());
+            let share = sizes.share(k, scheme);
             let keep = 1.0 / (1.0 + (-(1.0 + k as f64 / ANNEALING_ITERATIONS)).exp());
             if self.rng.random::<f64>() < keep {
                 self.adam.step(sizes, lengths, share, &mut self.gradient);

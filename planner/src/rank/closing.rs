@@ -5,6 +5,7 @@
 //! hand will have at contact, not what an objective found agreeable.
 
 use graspd_hands::CoordinateKind;
+use nalgebra::Vector3;
 
 use crate::configuration::Configuration;
 use crate::hand_model::HandModel;
@@ -17,7 +18,11 @@ const TOUCH_M: f64 = 0.001;
 /// Closing stops when a pad is this deep although another finger of the same motor does not touch, metres.
 const TOO_DEEP_M: f64 = 0.004;
 /// Fingers close at most this far to find a surface, metres of fingertip motion.
-const TRAVEL_M: f64 = 0.03;
+const TRAVEL_M: f64 = 0.12;
+/// No moved part gets deeper into the scene than this, metres: under a voxel, the resolution of the scene.
+const DEEPEST_M: f64 = 0.004;
+/// A hand with one motor is shifted at most this far so that its fingers touch together, metres.
+const SHIFT_M: f64 = 0.02;
 /// How far beyond contact the squeeze command goes, metres of fingertip motion.
 const SQUEEZE_M: f64 = 0.010;
 
@@ -29,6 +34,8 @@ struct Closer {
     sign: f64,
     /// Candidates that move with it, by finger.
     fingers: Vec<Vec<usize>>,
+    /// Spheres that move with it.
+    spheres: Vec<usize>,
 }
 
 fn closers(model: &HandModel<'_>) -> Vec<Closer> {
@@ -47,79 +54,141 @@ fn closers(model: &HandModel<'_>) -> Vec<Closer> {
                         .is_some_and(|j| actuation.rows[j].terms.iter().any(|t| t.0 == coordinate))
                 })
                 .collect();
+            let moves = |body: usize| bodies.iter().any(|&b| hand.tree.carries(b, body));
             let mut fingers = vec![Vec::new(); hand.fingers.len()];
             for (i, candidate) in hand.candidates.iter().enumerate() {
-                if bodies.iter().any(|&b| hand.tree.carries(b, candidate.body)) {
+                if moves(candidate.body) {
                     fingers[hand.pads[candidate.pad].finger].push(i);
                 }
             }
             fingers.retain(|f| !f.is_empty());
-            Closer { coordinate, sign: (c.closed - c.open).signum(), fingers }
+            let spheres = (0..hand.spheres.len()).filter(|&i| moves(hand.spheres[i].body)).collect();
+            Closer { coordinate, sign: (c.closed - c.open).signum(), fingers, spheres }
         })
         .filter(|c| !c.fingers.is_empty())
         .collect()
 }
 
+/// What closing looks at: the gaps of the fingers' pads, and how deep the moved parts are.
+struct Feel {
+    /// Smallest signed distance of each finger's candidates to the scene, metres.
+    gaps: Vec<f64>,
+    /// Largest depth of a moved sphere in scene or table, metres.
+    depth: f64,
+    /// Mean outward normal of the pads that touch, volume frame.
+    touching: Vector3<f64>,
+}
+
+impl Feel {
+    fn is_too_deep(&self) -> bool {
+        self.depth > DEEPEST_M || self.gaps.iter().any(|&g| g < -TOO_DEEP_M)
+    }
+
+    fn all_touch(&self) -> bool {
+        self.gaps.iter().all(|&g| g <= TOUCH_M)
+    }
+
+    fn none_touches(&self) -> bool {
+        self.gaps.iter().all(|&g| g > TOUCH_M)
+    }
+}
+
 /// Moves every closing coordinate until its fingers touch; a finger that finds nothing within reach
 /// stays where the optimizer left it.
+///
+/// Where one motor closes the whole hand and one finger touches before another, the hand is shifted
+/// sideways so that all touch together: the planner chooses the pose that the closing would push for.
 pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration, scratch: &mut Scratch) {
     let model = objective.model;
-    for closer in closers(model) {
+    let all = closers(model);
+    let may_shift = all.len() == 1 && all[0].fingers.len() > 1;
+    for closer in &all {
         let c = closer.coordinate;
         let limits = &model.hand.actuation.coordinates[c];
         let step = STEP_M * model.step_scale[c] * closer.sign;
-        let start = configuration.coordinates[c];
-        let mut gaps = finger_gaps(objective, configuration, &closer, scratch);
-        let mut travelled = 0.0;
-        while gaps.iter().any(|&g| g < -TOUCH_M) && travelled < TRAVEL_M {
-            let next = (configuration.coordinates[c] - step).clamp(limits.lower, limits.upper);
-            if next == configuration.coordinates[c] {
+        let move_by = |configuration: &mut Configuration, by: f64| {
+            let next = (configuration.coordinates[c] + by).clamp(limits.lower, limits.upper);
+            let moved = next != configuration.coordinates[c];
+            configuration.coordinates[c] = next;
+            moved
+        };
+        let start = configuration.clone();
+        let mut feel = feel(objective, configuration, closer, scratch);
+        let steps = (TRAVEL_M / STEP_M) as usize;
+        for _ in 0..steps {
+            if !feel.is_too_deep() || !move_by(configuration, -step) {
                 break;
             }
-            configuration.coordinates[c] = next;
-            travelled += STEP_M;
-            gaps = finger_gaps(objective, configuration, &closer, scratch);
+            feel = self::feel(objective, configuration, closer, scratch);
         }
-        travelled = 0.0;
-        while gaps.iter().any(|&g| g > TOUCH_M)
-            && gaps.iter().all(|&g| g > -TOO_DEEP_M)
-            && travelled < TRAVEL_M
-        {
-            let next = (configuration.coordinates[c] + step).clamp(limits.lower, limits.upper);
-            if next == configuration.coordinates[c] {
+        let mut shifted = 0.0;
+        for _ in 0..steps {
+            if feel.all_touch() || feel.is_too_deep() {
                 break;
             }
-            configuration.coordinates[c] = next;
-            travelled += STEP_M;
-            gaps = finger_gaps(objective, configuration, &closer, scratch);
+            let before = configuration.clone();
+            if may_shift
+                && shifted < SHIFT_M
+                && let Some(away) = feel.touching.try_normalize(1e-6)
+            {
+                configuration.translation -= away * STEP_M;
+                shifted += STEP_M;
+            }
+            if !move_by(configuration, step) {
+                break;
+            }
+            feel = self::feel(objective, configuration, closer, scratch);
+            if feel.is_too_deep() {
+                configuration.copy_from(&before);
+                feel = self::feel(objective, configuration, closer, scratch);
+                break;
+            }
         }
-        if gaps.iter().all(|&g| g > TOUCH_M) {
-            configuration.coordinates[c] = start;
+        if feel.none_touches() {
+            configuration.copy_from(&start);
         }
     }
 }
 
-/// Smallest signed distance of each finger's candidates to the scene, metres.
-fn finger_gaps(
+fn feel(
     objective: &Objective<'_>,
     configuration: &Configuration,
     closer: &Closer,
     scratch: &mut Scratch,
-) -> Vec<f64> {
+) -> Feel {
     scratch.kinematics.forward(objective.model, configuration);
-    closer
+    let kinematics = &scratch.kinematics;
+    let mut touching = Vector3::zeros();
+    let gaps = closer
         .fingers
         .iter()
         .map(|candidates| {
-            candidates
-                .iter()
-                .map(|&i| {
-                    let p = &objective.model.points[i];
-                    objective.obstacles.scene(&scratch.kinematics.point(p.body, &p.point)).0
-                })
-                .fold(f64::INFINITY, f64::min)
+            let mut least = f64::INFINITY;
+            let mut normal = Vector3::zeros();
+            for &i in candidates {
+                let p = &objective.model.points[i];
+                let gap = objective.obstacles.scene(&kinematics.point(p.body, &p.point)).0;
+                if gap < least {
+                    least = gap;
+                    normal = kinematics.direction(p.body, &p.normal);
+                }
+            }
+            if least <= TOUCH_M {
+                touching += normal;
+            }
+            least
         })
-        .collect()
+        .collect();
+    let mut depth = f64::NEG_INFINITY;
+    for &i in &closer.spheres {
+        let s = &objective.model.spheres[i];
+        let center = kinematics.point(s.body, &s.center);
+        depth = depth.max(s.radius - objective.obstacles.scene(&center).0);
+        if let Some(table) = objective.obstacles.table_m {
+            depth = depth.max(s.radius - (center.z - table) + DEEPEST_M);
+        }
+    }
+    Feel { gaps, depth, touching }
 }
 
 /// Coordinates opened by `share` of the way from contact to the open posture; coordinates that do not

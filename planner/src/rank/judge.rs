@@ -17,7 +17,7 @@ use crate::scene::Scene;
 /// A candidate this close to the scene's surface is a contact, metres: one and a half voxels.
 const CONTACT_M: f64 = 0.0075;
 /// Smallest alignment of a pad normal and the inward direction that makes a contact.
-const ALIGNED: f64 = 0.3;
+const ALIGNED: f64 = 0.1;
 /// Smallest force-closure margin.
 const LEAST_MARGIN: f64 = 0.005;
 /// Openings that are tried for the approach, from fully open (share of the way from contact to open).
