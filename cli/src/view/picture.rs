@@ -245,7 +245,7 @@ fn look(eye: &Point3<f64>, target: &Point3<f64>, up: &Vector3<f64>) -> Pinhole {
     let y = z.cross(&x);
     let rotation = Rotation3::from_basis_unchecked(&[x, y, z]);
     let pose = Isometry3::from_parts(Translation3::from(eye.coords), UnitQuaternion::from_rotation_matrix(&rotation));
-    let half_height_m = 0.215;
+    let half_height_m = 0.200;
     Pinhole {
         focal_px: (TILE[1] * FINE) as f64 / 2.0 * (target - eye).norm() / half_height_m,
         center_px: [(TILE[0] * FINE) as f64 / 2.0 - 0.5, (TILE[1] * FINE) as f64 / 2.0 - 0.5],
