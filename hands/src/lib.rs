@@ -16,6 +16,7 @@ mod kinematics;
 mod pad;
 
 // How files become a hand.
+mod check;
 mod coupling;
 mod description;
 mod load;
@@ -33,6 +34,7 @@ mod spheres;
 pub mod library;
 
 pub use actuation::{Actuation, Coordinate, CoordinateKind, JointRow, SoftCoupling};
+pub use check::{Report, check};
 pub use collision::{CollisionShape, CollisionSphere, Shape};
 pub use error::{HandError, Problem, Problems};
 pub use files::HandFiles;

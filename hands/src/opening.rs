@@ -58,9 +58,12 @@ pub(crate) fn gap(
     Some((b.0 - a.0).dot(&direction))
 }
 
-/// The mean of the pads' centres with the hand half closed.
+/// The middle of the space between the pads with the hand half closed: of the box that their centres span.
+///
+/// Not their mean: a hand with two fingers against one closes on the middle, not nearer to the two.
 pub(crate) fn tool_point(tree: &Tree, actuation: &Actuation, pads: &[Pad]) -> Point3<f64> {
     let at = pads_at(tree, pads, &actuation.joints(&along(actuation, 0.5)));
-    let sum: Vector3<f64> = at.iter().map(|(p, _)| p.coords).sum();
-    Point3::from(sum / at.len().max(1) as f64)
+    let Some(&(first, _)) = at.first() else { return Point3::origin() };
+    let (low, high) = at.iter().fold((first, first), |(low, high), (p, _)| (low.inf(p), high.sup(p)));
+    nalgebra::center(&low, &high)
 }

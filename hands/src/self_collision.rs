@@ -1,7 +1,8 @@
 //! Which pairs of spheres self-collision has to watch.
 //!
 //! Most pairs can never meet, and of those that can, few suffice to notice that two parts collide: in
-//! sampled postures, the pair that overlaps deepest for each pair of bodies.
+//! every sampled posture in which two bodies overlap, one pair that overlaps at least half as deeply as
+//! the deepest.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,8 +17,15 @@ use crate::{Actuation, CollisionSphere, Tree};
 const POSTURES: usize = 384;
 /// Most pairs that are kept.
 const MOST_PAIRS: usize = 256;
+/// Overlaps of two bodies that are shallower than this everywhere need not be noticed, metres.
+const NOTICED_M: f64 = 0.002;
 /// Pairs of the open posture closer than this count as touching there: neighbours by construction.
 const TOUCHING_M: f64 = 0.0005;
+
+/// Two indices.
+type Pair = (usize, usize);
+/// The pairs of spheres any of which notices one overlap of two bodies.
+type Event = Vec<Pair>;
 
 /// Finds the pairs.
 pub(crate) fn pairs(
@@ -26,30 +34,32 @@ pub(crate) fn pairs(
     spheres: &[CollisionSphere],
     rules: &Collision,
     findings: &mut Findings,
-) -> Vec<(usize, usize)> {
+) -> Vec<Pair> {
     let ignored = ignored(tree, rules, findings);
     let eligible = eligible(tree, spheres, &ignored);
     let open = centres(tree, actuation, &actuation.open(), spheres);
-    let eligible: Vec<(usize, usize)> =
+    let eligible: Vec<Pair> =
         eligible.into_iter().filter(|&(a, b)| overlap(spheres, &open, a, b) < -TOUCHING_M).collect();
-    // For each kept pair, in how many postures it was the deepest.
-    let mut kept: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    // Every posture in which two bodies overlap is an event that some kept pair must notice.
+    let mut events: BTreeMap<Pair, Vec<Event>> = BTreeMap::new();
     for u in postures(actuation) {
         let centres = centres(tree, actuation, &u, spheres);
-        let mut deepest: BTreeMap<(usize, usize), (f64, (usize, usize))> = BTreeMap::new();
+        let mut overlaps: BTreeMap<Pair, Vec<(f64, Pair)>> = BTreeMap::new();
         for &(a, b) in &eligible {
             let depth = overlap(spheres, &centres, a, b);
             if depth > 0.0 {
-                let entry = deepest.entry((spheres[a].body, spheres[b].body)).or_insert((depth, (a, b)));
-                if depth > entry.0 {
-                    *entry = (depth, (a, b));
-                }
+                overlaps.entry((spheres[a].body, spheres[b].body)).or_default().push((depth, (a, b)));
             }
         }
-        for (_, pair) in deepest.into_values() {
-            *kept.entry(pair).or_insert(0) += 1;
+        for (bodies, found) in overlaps {
+            let deepest = found.iter().map(|f| f.0).fold(0.0, f64::max);
+            if deepest > NOTICED_M {
+                let good = found.iter().filter(|f| f.0 >= 0.5 * deepest).map(|f| f.1).collect();
+                events.entry(bodies).or_default().push(good);
+            }
         }
     }
+    let mut kept: Vec<(Pair, usize)> = events.into_values().flat_map(fewest).collect();
     if kept.len() > MOST_PAIRS {
         findings.warn(
             TOML,
@@ -58,20 +68,32 @@ pub(crate) fn pairs(
             format!("at most {MOST_PAIRS}; the rarest were dropped"),
         );
     }
-    let mut ranked: Vec<((usize, usize), usize)> = kept.into_iter().collect();
-    ranked.sort_by_key(|&(pair, count)| (std::cmp::Reverse(count), pair));
-    ranked.truncate(MOST_PAIRS);
-    let mut pairs: Vec<(usize, usize)> = ranked.into_iter().map(|(pair, _)| pair).collect();
+    kept.sort_by_key(|&(pair, count)| (std::cmp::Reverse(count), pair));
+    kept.truncate(MOST_PAIRS);
+    let mut pairs: Vec<Pair> = kept.into_iter().map(|(pair, _)| pair).collect();
     pairs.sort_unstable();
     pairs
 }
 
+/// Greedily, few pairs such that each event contains one; with the number of events that each settled.
+fn fewest(mut events: Vec<Event>) -> Vec<(Pair, usize)> {
+    let mut out = Vec::new();
+    while !events.is_empty() {
+        let mut counts: BTreeMap<Pair, usize> = BTreeMap::new();
+        for pair in events.iter().flatten() {
+            *counts.entry(*pair).or_insert(0) += 1;
+        }
+        // The smallest pair among those that settle most: always the same choice.
+        let best = counts.into_iter().max_by_key(|&(pair, count)| (count, std::cmp::Reverse(pair)));
+        let Some((pair, count)) = best else { break };
+        events.retain(|event| !event.contains(&pair));
+        out.push((pair, count));
+    }
+    out
+}
+
 /// Pairs of spheres of bodies that are neither one nor neighbours, and that no rule excuses.
-fn eligible(
-    tree: &Tree,
-    spheres: &[CollisionSphere],
-    ignored: &BTreeSet<(usize, usize)>,
-) -> Vec<(usize, usize)> {
+fn eligible(tree: &Tree, spheres: &[CollisionSphere], ignored: &BTreeSet<Pair>) -> Vec<Pair> {
     let mut out = Vec::new();
     for a in 0..spheres.len() {
         for b in a + 1..spheres.len() {
@@ -91,7 +113,7 @@ pub(crate) fn adjacent(tree: &Tree, a: usize, b: usize) -> bool {
 }
 
 /// Pairs of links (smaller index first) that the description excuses.
-fn ignored(tree: &Tree, rules: &Collision, findings: &mut Findings) -> BTreeSet<(usize, usize)> {
+fn ignored(tree: &Tree, rules: &Collision, findings: &mut Findings) -> BTreeSet<Pair> {
     let mut out = BTreeSet::new();
     let mut find = |name: &str, key: &str| {
         let link = tree.link(name);
@@ -138,8 +160,15 @@ pub(crate) fn postures(actuation: &Actuation) -> Vec<Vec<f64>> {
         let u = actuation.coordinates.iter().map(|c| {
             step /= phi;
             // The ends of the range matter most: stretch beyond them and clamp.
-            let fraction = ((0.5 + n as f64 * step).fract() * 1.2 - 0.1).clamp(0.0, 1.0);
-            c.lower + fraction * (c.upper - c.lower)
+            let fraction = (0.5 + n as f64 * step).fract() * 1.2 - 0.1;
+            // Every other posture stays about the closing motion, where the hand will be.
+            let (low, high) = if n % 2 == 0 {
+                let span = 0.3 * (c.upper - c.lower);
+                (c.open.min(c.closed) - span, c.open.max(c.closed) + span)
+            } else {
+                (c.lower, c.upper)
+            };
+            (low + fraction * (high - low)).clamp(c.lower, c.upper)
         });
         out.push(u.collect());
     }

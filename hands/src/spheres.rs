@@ -169,7 +169,8 @@ fn greedy(samples: &[Sample], candidates: &[(Point3<f64>, f64)]) -> Vec<(Point3<
         .map(|(center, radius)| {
             let mut set = vec![0_u64; words];
             for (i, sample) in samples.iter().enumerate() {
-                if (sample.point - center).norm() <= radius + sample.reach {
+                let limit = radius + sample.reach;
+                if (sample.point - center).norm_squared() <= limit * limit {
                     set[i / 64] |= 1 << (i % 64);
                 }
             }
@@ -224,4 +225,125 @@ fn prune(samples: &[Sample], mut spheres: Vec<(Point3<f64>, f64)>) -> Vec<(Point
         }
     }
     spheres
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Translation3, UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{Shape, library};
+
+    fn shape() -> impl Strategy<Value = Shape> {
+        let size = 0.004..0.05_f64;
+        prop_oneof![
+            [size.clone(), size.clone(), size.clone()]
+                .prop_map(|h| Shape::Box { half_extents: Vector3::from(h) }),
+            (size.clone(), size.clone())
+                .prop_map(|(radius, half_length)| Shape::Cylinder { radius, half_length }),
+            size.prop_map(|radius| Shape::Sphere { radius }),
+        ]
+    }
+
+    fn pose() -> impl Strategy<Value = Isometry3<f64>> {
+        ([-0.1..0.1, -0.1..0.1, -0.1..0.1], [-3.0..3.0, -3.0..3.0, -3.0..3.0_f64]).prop_map(
+            |(t, r): ([f64; 3], [f64; 3])| {
+                Isometry3::from_parts(Translation3::from(t), UnitQuaternion::from_scaled_axis(r.into()))
+            },
+        )
+    }
+
+    /// A box as twelve triangles.
+    fn box_mesh(h: Vector3<f64>) -> Shape {
+        let vertices = (0..8)
+            .map(|i| {
+                let side = |bit: i32| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
+                Point3::new(side(0) * h.x, side(1) * h.y, side(2) * h.z)
+            })
+            .collect();
+        let triangles = vec![
+            [0, 2, 1],
+            [1, 2, 3],
+            [4, 5, 6],
+            [5, 7, 6],
+            [0, 1, 4],
+            [1, 5, 4],
+            [2, 6, 3],
+            [3, 6, 7],
+            [0, 4, 2],
+            [2, 4, 6],
+            [1, 3, 5],
+            [3, 7, 5],
+        ];
+        Shape::Mesh { vertices, triangles }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        /// Points inside are covered to within the tolerance (and the rounding of edges), and no sphere
+        /// sticks out by more than the tolerance.
+        #[test]
+        fn covers_from_within(shape in shape(), pose in pose(), at in prop::collection::vec([-1.0..1.0, -1.0..1.0, -1.0..1.0_f64], 60)) {
+            let tolerance = 0.004;
+            let solid = Solid::new(pose, &shape).unwrap();
+            let (low, high) = solid.local_bounds();
+            let solids = [solid];
+            let spheres = cover_solids(&solids, &[], tolerance);
+            let scaled = tolerance * scale(&solids);
+            prop_assert!(!spheres.is_empty());
+            for (center, radius) in &spheres {
+                prop_assert!(*radius <= solids[0].depth(center) + scaled + 1e-9);
+            }
+            for f in at {
+                let local = Point3::from((low.coords + high.coords) / 2.0 + (high - low).component_mul(&Vector3::from(f)) / 2.0);
+                let p = pose * local;
+                if solids[0].depth(&p) < 0.0 {
+                    continue;
+                }
+                let gap = spheres.iter().map(|(c, r)| (p - c).norm() - r).fold(f64::INFINITY, f64::min);
+                prop_assert!(gap <= scaled * (1.0 + 0.75 * ROUNDING), "{gap} m uncovered of {shape:?}");
+            }
+        }
+
+        #[test]
+        fn meshes_know_their_inside(h in [0.01..0.05, 0.01..0.05, 0.01..0.05_f64], at in [-0.06..0.06, -0.06..0.06, -0.06..0.06_f64]) {
+            let half_extents = Vector3::from(h);
+            let mesh = box_mesh(half_extents);
+            let (mesh, exact) = (Solid::new(Isometry3::identity(), &mesh).unwrap(), Shape::Box { half_extents });
+            let exact = Solid::new(Isometry3::identity(), &exact).unwrap();
+            let p = Point3::from(at);
+            prop_assert!((mesh.depth(&p) - exact.depth(&p)).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_mesh_is_covered_like_the_shape_it_draws() {
+        let half_extents = Vector3::new(0.02, 0.012, 0.03);
+        let (mesh, exact) = (box_mesh(half_extents), Shape::Box { half_extents });
+        let count = |shape: &Shape| {
+            cover_solids(&[Solid::new(Isometry3::identity(), shape).unwrap()], &[], 0.004).len()
+        };
+        assert!(count(&mesh).abs_diff(count(&exact)) <= 4, "{} and {}", count(&mesh), count(&exact));
+    }
+
+    #[test]
+    fn no_sphere_rises_above_a_pad_of_its_body() {
+        for id in library::ids() {
+            let hand = library::hand(id).unwrap();
+            for pad in &hand.pads {
+                let link = &hand.tree.links[pad.link];
+                let normal = link.body_from_link.rotation * pad.normal;
+                for candidate in hand.candidates.iter().filter(|c| hand.pads[c.pad].name == pad.name) {
+                    // A point a millimetre above the pad is outside every sphere of the body.
+                    let above = candidate.point + *normal * 0.001;
+                    for sphere in hand.spheres.iter().filter(|s| s.body == link.body) {
+                        let out = (sphere.center - above).norm() - sphere.radius;
+                        assert!(out > 0.0, "{id}: {} is {out} m inside a sphere", pad.name);
+                    }
+                }
+            }
+        }
+    }
 }

@@ -110,6 +110,8 @@ pub struct Grasp {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum RejectReason {
+    /// The budget ended before its first iteration.
+    Unfinished,
     /// The optimization left the finite numbers.
     Diverged,
     /// The hand's contacts left the volume.
@@ -146,6 +148,7 @@ impl RejectReason {
     /// The reason as it appears on the wire and in tables, for example `collision_scene`.
     pub fn as_str(self) -> &'static str {
         match self {
+            Self::Unfinished => "unfinished",
             Self::Diverged => "diverged",
             Self::OutOfWorkspace => "out_of_workspace",
             Self::OrientationLimit => "orientation_limit",

@@ -13,13 +13,22 @@
 //! to coordinates in a. Units are SI.
 
 pub mod budget;
+mod configuration;
 pub mod contact_field;
 pub mod estimator;
 pub mod frame;
 pub mod grasp;
 pub mod grid;
+mod hand_model;
+mod init;
+pub mod objective;
+pub mod optimize;
 pub mod options;
+mod orientation;
 pub mod plan;
+#[cfg(test)]
+mod random_hand;
+mod rank;
 pub mod refine;
 pub mod scene;
 pub mod volume;

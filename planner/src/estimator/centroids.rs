@@ -6,15 +6,14 @@
 use crate::grid::Grid;
 
 /// Peaks closer than this are one, metres.
-const PEAK_DISTANCE_M: f64 = 0.035;
+const PEAK_DISTANCE_M: f64 = 0.045;
 /// A peak with less than this share of the strongest is noise.
-const MIN_PEAK: f32 = 0.06;
+const MIN_PEAK: f32 = 0.08;
 /// Share of its peak from which a voxel's score reaches 1: a plateau that makes a cluster of some tens of voxels.
 const PLATEAU: f32 = 0.8;
 
 /// Scores 0 to 1 from smoothed votes; every accepted peak has a plateau of 1.
 pub(super) fn normalized(grid: &Grid, votes: &[f32]) -> Vec<f32> {
-    let n = grid.resolution;
     let mut score = vec![0.0; votes.len()];
     let strongest = votes.iter().copied().fold(0.0, f32::max);
     if strongest <= 0.0 {
@@ -40,10 +39,8 @@ pub(super) fn normalized(grid: &Grid, votes: &[f32]) -> Vec<f32> {
             peaks.push((p, votes[i as usize]));
         }
     }
-    debug_assert!(n > 0);
     for i in voted {
         let p = position(i);
-        // A voxel between two peaks belongs to the one that it is a larger share of the way to.
         let nearest = peaks.iter().min_by(|a, b| squared(p, a.0).total_cmp(&squared(p, b.0)));
         if let Some((_, peak)) = nearest {
             let share = votes[i as usize] / peak;

@@ -106,7 +106,7 @@ fn above_share(values: &[f32], share: f64) -> (Vec<u32>, f32) {
         // A share of 1 leaves the maximum itself.
         v > 0.0 && (v > threshold || v >= largest)
     };
-    let found = values.iter().enumerate().filter(|&(_, &v)| above(v)).map(|(i, _)| i as u32).collect();
+    let found = values.par_iter().enumerate().filter(|&(_, &v)| above(v)).map(|(i, _)| i as u32).collect();
     (found, largest)
 }
 
@@ -173,36 +173,36 @@ fn fill(
     let n = grid.resolution;
     let voxel = grid.voxel_m() as f32;
     let scale = if largest > 0.0 { 1.0 / largest } else { 0.0 };
-    let mut cells = vec![Cell::default(); grid.len()];
-    if n == 0 {
-        return cells;
-    }
-    cells.par_chunks_mut(n).enumerate().for_each(|(row, cells)| {
-        let (x, y) = (row / n, row % n);
-        for (z, cell) in cells.iter_mut().enumerate() {
-            let i = row * n + z;
+    // Collected, not filled in place: 16 MB are written once, by all threads.
+    (0..grid.len() as u32)
+        .into_par_iter()
+        .map(|index| {
+            let side = n as u32;
+            let i = index as usize;
+            let [x, y, z] = [index / (side * side), index / side % side, index % side].map(|c| c as usize);
             let certainty = (finite(field.certainty.get(i).copied().unwrap_or(0.0)) * scale).max(0.0);
             let scene = scene_distance_m[i];
-            let own = unit(field.inward.get(i).copied().unwrap_or_default().map(finite));
-            let direction = match (own, contact_distance) {
-                (Some(own), _) if certainty >= TINY_CERTAINTY => own,
-                (own, Some(distance)) => {
-                    let difference = |at: usize, stride: usize| {
-                        let (low, high) = (at.saturating_sub(1), (at + 1).min(n - 1));
-                        distance[i + (high - at) * stride] - distance[i - (at - low) * stride]
-                    };
-                    let gradient = [difference(x, n * n), difference(y, n), difference(z, 1)];
-                    let sign = if scene > 0.0 { -1.0 } else { 1.0 };
-                    unit(gradient.map(|g| sign * g)).or(own).unwrap_or_default()
+            let own = || unit(field.inward.get(i).copied().unwrap_or_default().map(finite));
+            let direction = match (certainty >= TINY_CERTAINTY).then(own).flatten() {
+                Some(own) => own,
+                None => {
+                    let through = contact_distance.and_then(|distance| {
+                        let difference = |at: usize, stride: usize| {
+                            let (low, high) = (at.saturating_sub(1), (at + 1).min(n - 1));
+                            distance[i + (high - at) * stride] - distance[i - (at - low) * stride]
+                        };
+                        let gradient = [difference(x, n * n), difference(y, n), difference(z, 1)];
+                        let sign = if scene > 0.0 { -1.0 } else { 1.0 };
+                        unit(gradient.map(|g| sign * g))
+                    });
+                    through.or_else(own).unwrap_or_default()
                 }
-                (own, None) => own.unwrap_or_default(),
             };
             let distance = contact_distance.map_or(grid.size_m as f32, |d| d[i] * voxel);
             let [dx, dy, dz] = direction;
-            cell.0 = [distance, certainty, dx, dy, dz, scene, 0.0, 0.0];
-        }
-    });
-    cells
+            Cell([distance, certainty, dx, dy, dz, scene, 0.0, 0.0])
+        })
+        .collect()
 }
 
 fn unit(v: [f32; 3]) -> Option<[f32; 3]> {

@@ -14,6 +14,10 @@ const CELL_M: f64 = 0.01;
 const NEAR_TABLE_M: f64 = 0.10;
 /// The objects' square is this much smaller than the cube on each side, metres, so that fingers fit.
 const MARGIN_M: f64 = 0.02;
+/// Factor for cells of things that leave the image or the cube's height.
+const PARTLY: f64 = 0.03;
+/// Eccentricity from which a point is on the image's border.
+const OUTER: f64 = 0.97;
 
 /// Rotation whose z axis is `up` and whose x axis is as close as possible to `along`.
 fn upright(up: &Vector3<f64>, along: &Vector3<f64>) -> UnitQuaternion<f64> {
@@ -72,20 +76,22 @@ fn densest_square(
         }
     }
     let Some((held, _, from)) = best else { return median_2d(&floor.lying) };
-    // Centre the square on what it holds, as long as nothing is lost by that.
+    // Centre the square on what it holds whole, as long as nothing is lost by that.
+    let inside = |x: usize, y: usize| weight[x * cells[1] + y];
+    let squares = || {
+        (from[0]..(from[0] + span).min(cells[0]))
+            .flat_map(|x| (from[1]..(from[1] + span).min(cells[1])).map(move |y| (x, y)))
+    };
+    let least = if squares().any(|(x, y)| inside(x, y) > PARTLY) { PARTLY } else { 0.0 };
     let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
-    for x in from[0]..(from[0] + span).min(cells[0]) {
-        for y in from[1]..(from[1] + span).min(cells[1]) {
-            if weight[x * cells[1] + y] > 0.0 {
-                low = [low[0].min(x), low[1].min(y)];
-                high = [high[0].max(x + 1), high[1].max(y + 1)];
-            }
-        }
+    for (x, y) in squares().filter(|&(x, y)| inside(x, y) > least) {
+        low = [low[0].min(x), low[1].min(y)];
+        high = [high[0].max(x + 1), high[1].max(y + 1)];
     }
     let middle = |a: usize| 0.5 * (low[a] + high[a]) as f64 - 0.5 * span as f64;
     let start = [0, 1].map(|a| middle(a).round().clamp(0.0, cells[a].saturating_sub(span) as f64) as usize);
     let to = [(start[0] + span).min(cells[0]), (start[1] + span).min(cells[1])];
-    if window(&weight_sums, cells, start, to) < 0.999 * held {
+    if window(&weight_sums, cells, start, to) < 0.98 * held {
         return Some(floor.position(from, 0.5 * span as f64));
     }
     floor.low = [0, 1].map(|a| floor.low[a] + middle(a) * CELL_M);
@@ -139,8 +145,6 @@ impl Floor {
     /// be seen well enough to grasp; and what is in the image's middle counts more, since that is where people
     /// point a camera.
     fn weights(&self, points: &FramePoints, camera_from_table: &Isometry3<f64>, top: f64) -> Vec<f64> {
-        const OUTER: f64 = 0.97;
-        const PARTLY: f64 = 0.15;
         let count = self.cells[0] * self.cells[1];
         let mut table = vec![0.0; count];
         for i in self.lying.iter().filter_map(|p| self.cell(p[0], p[1])) {
@@ -169,12 +173,12 @@ impl Floor {
                 *w = 0.0;
             }
         }
-        self.discount(&mut weight, &cut, PARTLY);
+        self.discount(&mut weight, &cut);
         weight
     }
 
-    /// Multiplies by `factor` the weights of every group of neighbouring cells that is cut somewhere.
-    fn discount(&self, weight: &mut [f64], cut: &[bool], factor: f64) {
+    /// Multiplies by [`PARTLY`] the weights of every group of neighbouring cells that is cut somewhere.
+    fn discount(&self, weight: &mut [f64], cut: &[bool]) {
         let [width, height] = self.cells;
         let mut open: Vec<bool> = weight.iter().map(|&w| w > 0.0).collect();
         let mut group = Vec::new();
@@ -200,7 +204,7 @@ impl Floor {
             // One stray pixel does not cut an object off.
             if group.iter().filter(|&&i| cut[i]).count() > 1 {
                 for &i in &group {
-                    weight[i] *= factor;
+                    weight[i] *= PARTLY;
                 }
             }
         }

@@ -1,0 +1,125 @@
+//! Initial hand configurations, exactly as Supplementary Note 4 describes them.
+
+use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
+use rand::RngExt;
+
+use crate::configuration::{Configuration, Kinematics};
+use crate::hand_model::HandModel;
+use crate::options::PlanOptions;
+use crate::orientation::{INITIAL_CONE_RAD, align, cone_sample, reaching_direction};
+use crate::refine::CenteredCentroid;
+
+/// Where initial configurations come from: one hand, one scene, one request.
+#[derive(Debug, Clone)]
+pub(crate) struct Initializer<'a> {
+    pub(crate) model: &'a HandModel<'a>,
+    pub(crate) centroids: &'a [CenteredCentroid],
+    pub(crate) options: &'a PlanOptions,
+    pub(crate) world_from_volume: Isometry3<f64>,
+    pub(crate) view: Unit<Vector3<f64>>,
+}
+
+impl Initializer<'_> {
+    /// Draws one configuration and its reaching direction `v_hg` (volume frame).
+    ///
+    /// Joints lie in the first `γ_j` of their closing range; the approach axis within π/6 (or the allowed
+    /// cone, if that is narrower) of the reaching direction, the roll about it is free; the mean contact
+    /// candidate starts the hand's start offset (0.05 m) before a weighted random centred centroid.
+    pub(crate) fn draw(&self, rng: &mut impl rand::Rng) -> (Configuration, Vector3<f64>) {
+        let reaching = reaching_direction(&self.options.reaching, &self.world_from_volume, &self.view, rng);
+        let cone = INITIAL_CONE_RAD.min(self.options.orientation.cone_rad.max(0.0));
+        let axis = cone_sample(&reaching, cone, rng);
+        let roll = rng.random::<f64>() * std::f64::consts::TAU;
+        let rotation = UnitQuaternion::from_axis_angle(&Unit::new_normalize(axis), roll)
+            * UnitQuaternion::from_rotation_matrix(&align(&self.model.approach, &axis));
+        let gamma = self.options.opening_fraction;
+        let coordinates = self
+            .model
+            .hand
+            .actuation
+            .coordinates
+            .iter()
+            .map(|c| {
+                let towards = if c.closed != c.open {
+                    c.closed
+                } else if c.upper - c.open >= c.open - c.lower {
+                    c.upper
+                } else {
+                    c.lower
+                };
+                (c.open + gamma * rng.random::<f64>() * (towards - c.open)).clamp(c.lower, c.upper)
+            })
+            .collect();
+        let mut configuration = Configuration { translation: Vector3::zeros(), rotation, coordinates };
+        let mut kinematics = Kinematics::new(self.model);
+        kinematics.forward(self.model, &configuration);
+        let points = &self.model.points;
+        let mean = points.iter().map(|p| kinematics.point(p.body, &p.point)).sum::<Vector3<f64>>()
+            / points.len().max(1) as f64;
+        let target = self.pick(rng);
+        configuration.translation = target - mean - axis * self.model.hand.start_offset_m;
+        (configuration, reaching)
+    }
+
+    /// A centred centroid, drawn by weight.
+    fn pick(&self, rng: &mut impl rand::Rng) -> Vector3<f64> {
+        let total: f64 = self.centroids.iter().map(|c| c.weight).sum();
+        let mut left = rng.random::<f64>() * total;
+        for c in self.centroids {
+            left -= c.weight;
+            if left <= 0.0 {
+                return c.position.coords;
+            }
+        }
+        self.centroids.last().map_or_else(Vector3::zeros, |c| c.position.coords)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+    use rand::SeedableRng;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    use super::*;
+    use crate::random_hand::random_hand;
+
+    #[test]
+    fn initial_configurations_are_as_note_4_says() {
+        let hand = random_hand(3);
+        let model = HandModel::new(&hand);
+        let centroids = [0.1, 0.3].map(|x| CenteredCentroid {
+            position: Point3::new(x, 0.2, 0.15),
+            weight: 0.5,
+            voxel_count: 1,
+            label: None,
+        });
+        let options = PlanOptions::default();
+        let initializer = Initializer {
+            model: &model,
+            centroids: &centroids,
+            options: &options,
+            world_from_volume: Isometry3::identity(),
+            view: Unit::new_unchecked(-Vector3::z()),
+        };
+        let rng = &mut Xoshiro256PlusPlus::seed_from_u64(9);
+        let mut kinematics = Kinematics::new(&model);
+        let mut chosen = [0usize; 2];
+        for _ in 0..200 {
+            let (configuration, reaching) = initializer.draw(rng);
+            let axis = configuration.rotation * model.approach;
+            assert!(axis.angle(&reaching) < INITIAL_CONE_RAD + 1e-9);
+            for (u, c) in configuration.coordinates.iter().zip(&hand.actuation.coordinates) {
+                let share = (u - c.open) / (c.closed - c.open);
+                assert!((0.0..=options.opening_fraction).contains(&share), "{share}");
+            }
+            kinematics.forward(&model, &configuration);
+            let mean = model.points.iter().map(|p| kinematics.point(p.body, &p.point)).sum::<Vector3<f64>>()
+                / model.points.len() as f64;
+            let target = mean + axis * hand.start_offset_m;
+            let which = centroids.iter().position(|c| (c.position.coords - target).norm() < 1e-9);
+            chosen[which.expect("the back-off starts at a centroid")] += 1;
+        }
+        assert!(chosen.iter().all(|&n| n > 60), "both centroids are drawn by their weight: {chosen:?}");
+    }
+}

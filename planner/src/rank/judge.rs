@@ -1,0 +1,328 @@
+//! Judging one optimized candidate: a grasp with its figures, or the reason why not.
+
+use nalgebra::{Isometry3, Point3, Translation3, Unit, Vector3};
+
+use super::collision::{self, SCENE_TOLERANCE_M, SELF_TOLERANCE_M, TABLE_TOLERANCE_M};
+use super::force_closure::{self, Directions, Push};
+use super::{closing, score};
+use crate::configuration::Configuration;
+use crate::grasp::{Grasp, GraspContact, ObjectiveTerms, Postures, RejectReason};
+use crate::hand_model::HandModel;
+use crate::objective::{Objective, Scratch};
+use crate::optimize::Candidate;
+use crate::options::{PlanOptions, Target};
+use crate::orientation::Allowed;
+use crate::scene::Scene;
+
+/// A candidate this close to the scene's surface is a contact, metres: one and a half voxels.
+const CONTACT_M: f64 = 0.0075;
+/// Smallest alignment of a pad normal and the inward direction that makes a contact.
+const ALIGNED: f64 = 0.1;
+/// Smallest force-closure margin.
+const LEAST_MARGIN: f64 = 0.005;
+/// Openings that are tried for the approach, from fully open (share of the way from contact to open).
+const OPENINGS: [f64; 4] = [1.0, 0.6, 0.35, 0.2];
+/// A coordinate within this share of its range from the open end is as open as it gets.
+const OPEN_END: f64 = 0.08;
+
+/// Why a candidate was rejected, and by how much.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Rejection {
+    pub(crate) reason: RejectReason,
+    /// How far it is from passing, metres for collisions, else 0.
+    pub(crate) by_m: f64,
+}
+
+impl Rejection {
+    fn new(reason: RejectReason, by_m: f64) -> Self {
+        Self { reason, by_m }
+    }
+}
+
+/// What all candidates of a ranking share.
+#[derive(Debug)]
+pub(crate) struct Judge<'a> {
+    pub(crate) scene: &'a Scene,
+    pub(crate) objective: &'a Objective<'a>,
+    pub(crate) allowed: &'a Allowed,
+    pub(crate) options: &'a PlanOptions,
+    pub(crate) directions: Directions,
+}
+
+/// A contact in the volume frame.
+struct Touch {
+    point: Vector3<f64>,
+    inward: Unit<Vector3<f64>>,
+    pad: usize,
+    body: usize,
+    certainty: f64,
+}
+
+impl Judge<'_> {
+    /// Closes the fingers, checks everything, and makes a grasp of the candidate.
+    pub(crate) fn judge(&self, candidate: &Candidate, scratch: &mut Scratch) -> Result<Grasp, Rejection> {
+        use RejectReason as R;
+        let model = self.objective.model;
+        if !candidate.has_started() {
+            return Err(Rejection::new(R::Unfinished, 0.0));
+        }
+        if !candidate.best.is_finite() || !candidate.terms.total.is_finite() {
+            return Err(Rejection::new(R::Diverged, 0.0));
+        }
+        let mut at = candidate.best.clone();
+        closing::close(self.objective, &mut at, scratch);
+        self.objective.look(&at, scratch);
+        let mean = scratch.contacts.mean();
+        let size = self.scene.workspace.grid.size_m;
+        if mean.iter().any(|v| !(0.0..=size).contains(v)) {
+            return Err(Rejection::new(R::OutOfWorkspace, 0.0));
+        }
+        if !self.allowed.holds(model, &candidate.reaching, &at) {
+            return Err(Rejection::new(R::OrientationLimit, 0.0));
+        }
+        let touches = self.touches(scratch);
+        let center = middle(&touches).unwrap_or(mean);
+        let (centroid, label) = self.nearest_object(&center);
+        if !self.is_target(&centroid, label) {
+            return Err(Rejection::new(R::NotTarget, 0.0));
+        }
+        let touching = touching_bodies(model, &touches);
+        let depths = collision::depths(self.objective, &at, &touching, scratch);
+        if depths.scene > SCENE_TOLERANCE_M {
+            let wide = depths.fingers_in_scene >= 2 && is_fully_open(model, &at);
+            let reason = if wide { R::TooWide } else { R::CollisionScene };
+            return Err(Rejection::new(reason, depths.scene - SCENE_TOLERANCE_M));
+        }
+        if depths.table > TABLE_TOLERANCE_M {
+            return Err(Rejection::new(R::CollisionTable, depths.table - TABLE_TOLERANCE_M));
+        }
+        if depths.itself > SELF_TOLERANCE_M {
+            return Err(Rejection::new(R::CollisionSelf, depths.itself - SELF_TOLERANCE_M));
+        }
+        if depths.keep_out > 0.0 {
+            return Err(Rejection::new(R::KeepOut, depths.keep_out));
+        }
+        if fingers_touching(model, &touches) < 2 {
+            return Err(Rejection::new(R::NoContact, 0.0));
+        }
+        let back = self.options.pregrasp_offset_m.max(0.0);
+        let open = self.clear_opening(&at, back, scratch)?;
+        let arms: Vec<Push> =
+            touches.iter().map(|t| Push { arm: t.point - center, inward: t.inward.into_inner() }).collect();
+        let length = arms.iter().map(|p| p.arm.norm()).fold(0.01, f64::max);
+        let epsilon = force_closure::margin(&arms, self.options.friction, length, &self.directions);
+        if epsilon < LEAST_MARGIN {
+            return Err(Rejection::new(R::NoForceClosure, 0.0));
+        }
+        let certainty = touches.iter().map(|t| t.certainty).sum::<f64>() / touches.len() as f64;
+        let parts = score::parts(candidate.terms.total, epsilon, depths.room, certainty);
+        let total = score::total(&parts);
+        if total < self.options.min_score {
+            return Err(Rejection::new(R::LowScore, 0.0));
+        }
+        let figures = Figures { open, epsilon, room: depths.room, terms: candidate.terms, centroid, label };
+        Ok(self.grasp(&at, &touches, &figures, parts, total, back))
+    }
+
+    /// Candidates that touch: near the surface and facing it.
+    fn touches(&self, scratch: &Scratch) -> Vec<Touch> {
+        let contacts = &scratch.contacts;
+        let hand = self.objective.model.hand;
+        (0..contacts.len())
+            .filter_map(|i| {
+                let (gap, slope) = self.objective.obstacles.scene(&contacts.point[i]);
+                if gap > CONTACT_M {
+                    return None;
+                }
+                let look = &contacts.look[i];
+                let inward = Unit::try_new(look.inward(), 1e-3).or_else(|| Unit::try_new(-slope, 1e-3))?;
+                if contacts.normal[i].dot(&inward) < ALIGNED {
+                    return None;
+                }
+                let candidate = &hand.candidates[i];
+                let certainty = look.certainty();
+                Some(Touch {
+                    point: contacts.point[i],
+                    inward,
+                    pad: candidate.pad,
+                    body: candidate.body,
+                    certainty,
+                })
+            })
+            .collect()
+    }
+
+    /// The centred centroid nearest to the middle of the contacts, volume frame, and its label.
+    fn nearest_object(&self, center: &Vector3<f64>) -> (Point3<f64>, Option<u8>) {
+        let nearest = self.objective.centroids.iter().min_by(|a, b| {
+            let d = |c: &crate::refine::CenteredCentroid| (c.position.coords - center).norm_squared();
+            d(a).total_cmp(&d(b))
+        });
+        nearest.map_or((Point3::from(*center), None), |c| (c.position, c.label))
+    }
+
+    fn is_target(&self, centroid: &Point3<f64>, label: Option<u8>) -> bool {
+        match &self.options.target {
+            None => true,
+            Some(Target::Label(wanted)) => label == Some(*wanted),
+            Some(Target::Point { point, radius_m }) => {
+                let world = self.scene.workspace.world_from_volume * centroid;
+                (world - point).norm() <= *radius_m
+            }
+        }
+    }
+
+    /// Coordinates of the widest opening with which the straight approach is free.
+    fn clear_opening(
+        &self,
+        at: &Configuration,
+        back: f64,
+        scratch: &mut Scratch,
+    ) -> Result<Vec<f64>, Rejection> {
+        let mut least = f64::INFINITY;
+        for share in OPENINGS {
+            let open = closing::opened(self.objective.model, &at.coordinates, share);
+            let depth = collision::approach_depth(self.objective, at, &open, back, scratch);
+            if depth <= 0.0 {
+                return Ok(open);
+            }
+            least = least.min(depth);
+        }
+        Err(Rejection::new(RejectReason::ApproachBlocked, least))
+    }
+
+    fn grasp(
+        &self,
+        at: &Configuration,
+        touches: &[Touch],
+        figures: &Figures,
+        parts: crate::grasp::ScoreParts,
+        total: f64,
+        back: f64,
+    ) -> Grasp {
+        let model = self.objective.model;
+        let world_from_volume = self.scene.workspace.world_from_volume;
+        let world_from_hand = world_from_volume * at.volume_from_hand();
+        let retreat = world_from_hand.rotation * model.approach * -back;
+        let world_from_pregrasp = Translation3::from(retreat) * world_from_hand;
+        let squeezed = closing::squeezed(model, &at.coordinates);
+        let actuation = &model.hand.actuation;
+        let joints = |u: &[f64]| actuation.joints(u);
+        let actuators = |u: &[f64]| -> Vec<f64> {
+            u.iter()
+                .zip(&actuation.coordinates)
+                .filter(|(_, c)| c.kind == graspd_hands::CoordinateKind::Actuator)
+                .map(|(&u, _)| u)
+                .collect()
+        };
+        Grasp {
+            world_from_hand,
+            camera_from_hand: self.scene.world_from_camera.inverse() * world_from_hand,
+            world_from_pregrasp,
+            joints: Postures {
+                open: joints(&figures.open),
+                contact: joints(&at.coordinates),
+                squeezed: joints(&squeezed),
+            },
+            actuators: Postures {
+                open: actuators(&figures.open),
+                contact: actuators(&at.coordinates),
+                squeezed: actuators(&squeezed),
+            },
+            contacts: contacts_by_pad(model, touches, &world_from_volume),
+            jaw_width_m: jaw_width(model, touches),
+            score: total,
+            parts,
+            objective: figures.terms,
+            epsilon: figures.epsilon,
+            clearance_m: figures.room,
+            centroid: world_from_volume * figures.centroid,
+            label: figures.label,
+        }
+    }
+}
+
+/// What was measured of an accepted candidate.
+struct Figures {
+    open: Vec<f64>,
+    epsilon: f64,
+    room: f64,
+    terms: ObjectiveTerms,
+    centroid: Point3<f64>,
+    label: Option<u8>,
+}
+
+/// Middle of the contacts: the mean over pads of each pad's mean, so that a pad with many touching
+/// candidates weighs no more than one with few.
+fn middle(touches: &[Touch]) -> Option<Vector3<f64>> {
+    let pads: std::collections::BTreeSet<usize> = touches.iter().map(|t| t.pad).collect();
+    if pads.is_empty() {
+        return None;
+    }
+    let sum: Vector3<f64> = pads.iter().map(|&p| mean_of(touches, |t| t.pad == p)).sum();
+    Some(sum / pads.len() as f64)
+}
+
+fn mean_of(touches: &[Touch], keep: impl Fn(&Touch) -> bool) -> Vector3<f64> {
+    let kept: Vec<Vector3<f64>> = touches.iter().filter(|t| keep(t)).map(|t| t.point).collect();
+    kept.iter().sum::<Vector3<f64>>() / kept.len().max(1) as f64
+}
+
+/// One contact per touching pad, in the world frame.
+fn contacts_by_pad(
+    model: &HandModel<'_>,
+    touches: &[Touch],
+    world_from_volume: &Isometry3<f64>,
+) -> Vec<GraspContact> {
+    (0..model.hand.pads.len())
+        .filter_map(|pad| {
+            let own: Vec<&Touch> = touches.iter().filter(|t| t.pad == pad).collect();
+            let inward: Vector3<f64> = own.iter().map(|t| t.inward.into_inner()).sum();
+            let inward = Unit::try_new(inward, 1e-6)?;
+            let point = mean_of(touches, |t| t.pad == pad);
+            Some(GraspContact {
+                point: world_from_volume * Point3::from(point),
+                normal: world_from_volume.rotation * -inward,
+                pad,
+                finger: model.hand.pads[pad].finger,
+                certainty: own.iter().map(|t| t.certainty).sum::<f64>() / own.len() as f64,
+            })
+        })
+        .collect()
+}
+
+/// Distance between the two fingers' contacts, for hands with two fingers.
+fn jaw_width(model: &HandModel<'_>, touches: &[Touch]) -> Option<f64> {
+    if model.hand.fingers.len() != 2 {
+        return None;
+    }
+    let of = |finger: usize| {
+        touches
+            .iter()
+            .any(|t| model.hand.pads[t.pad].finger == finger)
+            .then(|| mean_of(touches, |t| model.hand.pads[t.pad].finger == finger))
+    };
+    Some((of(0)? - of(1)?).norm())
+}
+
+fn fingers_touching(model: &HandModel<'_>, touches: &[Touch]) -> usize {
+    let fingers: std::collections::BTreeSet<usize> =
+        touches.iter().map(|t| model.hand.pads[t.pad].finger).collect();
+    fingers.len()
+}
+
+fn touching_bodies(model: &HandModel<'_>, touches: &[Touch]) -> Vec<bool> {
+    let mut touching = vec![false; model.hand.tree.bodies.len()];
+    for t in touches {
+        touching[t.body] = true;
+    }
+    touching
+}
+
+/// True when every closing coordinate is at its open end.
+fn is_fully_open(model: &HandModel<'_>, at: &Configuration) -> bool {
+    at.coordinates.iter().zip(&model.hand.actuation.coordinates).all(|(&u, c)| {
+        let range = (c.closed - c.open).abs();
+        range == 0.0 || (u - c.open).abs() <= OPEN_END * range
+    })
+}

@@ -1,0 +1,60 @@
+//! The score of a grasp: four parts between 0 and 1, and how they add up.
+
+use crate::grasp::ScoreParts;
+
+/// Objective value at which its part of the score has fallen to one half.
+const OBJECTIVE_HALF: f64 = 0.6;
+/// Force-closure margin that counts as full.
+const MARGIN_FULL: f64 = 0.25;
+/// Room around the hand that counts as full, metres.
+const ROOM_FULL_M: f64 = 0.02;
+
+/// Shares of the parts; they sum to 1.
+const SHARES: ScoreParts =
+    ScoreParts { objective: 0.35, force_closure: 0.30, clearance: 0.10, certainty: 0.25 };
+
+/// The parts of a score from what was measured: the optimized objective, the Ferrari-Canny margin, the room
+/// around the hand (metres) and the mean certainty of the contacts (0 to 1).
+pub(crate) fn parts(objective: f64, margin: f64, room_m: f64, certainty: f64) -> ScoreParts {
+    ScoreParts {
+        objective: 1.0 / (1.0 + (objective.max(0.0) / OBJECTIVE_HALF).powi(2)),
+        force_closure: (margin / MARGIN_FULL).clamp(0.0, 1.0),
+        clearance: (room_m / ROOM_FULL_M).clamp(0.0, 1.0),
+        certainty: certainty.clamp(0.0, 1.0),
+    }
+}
+
+/// The score: the weighted mean of the parts.
+pub(crate) fn total(parts: &ScoreParts) -> f64 {
+    SHARES.objective * parts.objective
+        + SHARES.force_closure * parts.force_closure
+        + SHARES.clearance * parts.clearance
+        + SHARES.certainty * parts.certainty
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_sum_to_one_and_scores_stay_between_zero_and_one() {
+        assert!(
+            (total(&ScoreParts { objective: 1.0, force_closure: 1.0, clearance: 1.0, certainty: 1.0 }) - 1.0)
+                .abs()
+                < 1e-12
+        );
+        for (o, m, r, c) in [(0.0, 9.0, 9.0, 9.0), (1e9, 0.0, -1.0, 0.0)] {
+            let s = total(&parts(o, m, r, c));
+            assert!((0.0..=1.0).contains(&s), "{s}");
+        }
+    }
+
+    #[test]
+    fn each_part_rises_with_what_it_measures() {
+        let base = total(&parts(0.5, 0.1, 0.01, 0.5));
+        assert!(total(&parts(0.4, 0.1, 0.01, 0.5)) > base);
+        assert!(total(&parts(0.5, 0.2, 0.01, 0.5)) > base);
+        assert!(total(&parts(0.5, 0.1, 0.015, 0.5)) > base);
+        assert!(total(&parts(0.5, 0.1, 0.01, 0.6)) > base);
+    }
+}
