@@ -16,7 +16,6 @@ mod kinematics;
 mod pad;
 
 // How files become a hand.
-mod check;
 mod coupling;
 mod description;
 mod load;
@@ -31,6 +30,10 @@ mod self_collision;
 mod solid;
 mod spheres;
 
+// Tools for people who bring a hand.
+mod check;
+mod init;
+
 pub mod library;
 
 pub use actuation::{Actuation, Coordinate, CoordinateKind, JointRow, SoftCoupling};
@@ -39,5 +42,6 @@ pub use collision::{CollisionShape, CollisionSphere, Shape};
 pub use error::{HandError, Problem, Problems};
 pub use files::HandFiles;
 pub use hand::{Finger, Hand, Opening};
+pub use init::propose;
 pub use kinematics::{Body, Joint, JointKind, Link, Tree};
 pub use pad::{ContactCandidate, Pad};

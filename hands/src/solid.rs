@@ -55,6 +55,18 @@ impl<'a> Solid<'a> {
         }
     }
 
+    /// Axis-aligned bounds in the query frame.
+    pub(crate) fn bounds(&self) -> (Point3<f64>, Point3<f64>) {
+        let (low, high) = self.local_bounds();
+        let (mut min, mut max) = (Point3::from([f64::INFINITY; 3]), Point3::from([f64::NEG_INFINITY; 3]));
+        for corner in 0..8 {
+            let pick = |axis: usize| if corner >> axis & 1 == 0 { low[axis] } else { high[axis] };
+            let p = self.pose * Point3::new(pick(0), pick(1), pick(2));
+            (min, max) = (min.inf(&p), max.sup(&p));
+        }
+        (min, max)
+    }
+
     /// Axis-aligned bounds in the shape's own frame.
     pub(crate) fn local_bounds(&self) -> (Point3<f64>, Point3<f64>) {
         match self.shape {
