@@ -27,7 +27,7 @@ pub enum GraspEvent {
 #[derive(Debug, Clone, PartialEq)]
 pub enum MultiHandEvent {
     /// One task is done.
-    Result(HandTaskResult),
+    Result(Box<HandTaskResult>),
     /// All tasks are done; the last message.
     Summary(MultiHandSummary),
 }
@@ -90,7 +90,7 @@ impl MultiHandStream {
     pub async fn next(&mut self) -> Result<Option<MultiHandEvent>, ClientError> {
         let Some(message) = self.0.next().await? else { return Ok(None) };
         match message.event {
-            Some(plan_multi_hand_response::Event::Result(r)) => Ok(Some(MultiHandEvent::Result(r))),
+            Some(plan_multi_hand_response::Event::Result(r)) => Ok(Some(MultiHandEvent::Result(Box::new(r)))),
             Some(plan_multi_hand_response::Event::Summary(s)) => Ok(Some(MultiHandEvent::Summary(s))),
             None => Err(ClientError::Protocol("a message of PlanMultiHand without an event")),
         }
