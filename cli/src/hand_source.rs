@@ -32,7 +32,11 @@ pub(crate) fn id_of(path: &Path) -> String {
     let stem = full.file_stem().map(|s| s.to_string_lossy().to_lowercase()).unwrap_or_default();
     let id: String = stem.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).take(63).collect();
     let id = id.trim_matches('-').to_owned();
-    if id.starts_with(|c: char| c.is_ascii_lowercase()) { id } else { format!("hand-{id}").trim_matches('-').to_owned() }
+    if id.starts_with(|c: char| c.is_ascii_lowercase()) {
+        id
+    } else {
+        format!("hand-{id}").trim_matches('-').to_owned()
+    }
 }
 
 /// What to say about an id that nobody knows.

@@ -41,14 +41,21 @@ impl Observed {
         let budget = StdBudget::new(None);
         let scene = match self {
             Self::Frame(frame) => scene::prepare(std::slice::from_ref(frame), options, &Geometric, &budget),
-            Self::Field(field) => scene::from_contact_field(field.field.clone(), &field.solid, options, &budget),
+            Self::Field(field) => {
+                scene::from_contact_field(field.field.clone(), &field.solid, options, &budget)
+            }
         };
         scene.context("the scene cannot be read")
     }
 }
 
 /// Plans for one hand in a scene; the budget counts for this hand alone.
-pub(crate) fn plan_hand(scene: &Scene, hand: &Hand, options: &PlanOptions, limit: Option<Duration>) -> Outcome {
+pub(crate) fn plan_hand(
+    scene: &Scene,
+    hand: &Hand,
+    options: &PlanOptions,
+    limit: Option<Duration>,
+) -> Outcome {
     let budget = StdBudget::new(limit);
     let plan = plan::plan(scene, hand, options, &budget, None);
     tracing::debug!(hand = hand.id, elapsed_ms = budget.elapsed().as_secs_f64() * 1e3, "planned");
@@ -97,8 +104,7 @@ mod tests {
     fn an_empty_table_has_no_grasp_and_says_why() {
         let camera = demo_scene::empty_table(5);
         let file = crate::input::intrinsics::FrameFile::parse("f.json", camera.to_json().as_bytes()).unwrap();
-        let depth =
-            crate::input::depth::RawDepth::from_png("d.png", &camera.to_png().unwrap()).unwrap();
+        let depth = crate::input::depth::RawDepth::from_png("d.png", &camera.to_png().unwrap()).unwrap();
         let frame = file.frame(&depth, None).unwrap();
         let scene = Observed::Frame(Box::new(frame)).scene(&SceneOptions::default()).unwrap();
         let hand = library::hand("robotiq-2f85").unwrap();

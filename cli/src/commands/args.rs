@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use clap::Args;
 use graspd_planner::options::{
-    KeepOut, OrientationLimits, PlanOptions, Reaching, SceneOptions, Scheme, Target, VolumeKind, WorkspaceRequest,
+    KeepOut, OrientationLimits, PlanOptions, Reaching, SceneOptions, Scheme, Target, VolumeKind,
+    WorkspaceRequest,
 };
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
@@ -113,14 +114,23 @@ impl SearchArgs {
         let roll_rad = match &self.roll_deg {
             None => None,
             Some(Numbers(v)) => {
-                anyhow::ensure!(v[0] <= v[1], "--roll-deg: found {},{}, expected MIN not above MAX", v[0], v[1]);
+                anyhow::ensure!(
+                    v[0] <= v[1],
+                    "--roll-deg: found {},{}, expected MIN not above MAX",
+                    v[0],
+                    v[1]
+                );
                 Some((v[0].to_radians(), v[1].to_radians()))
             }
         };
         let keep_out = self.keep_out.iter().map(keep_out).collect::<anyhow::Result<_>>()?;
         let target = match (&self.target_point, self.target_label) {
             (Some(Numbers(v)), _) => {
-                anyhow::ensure!(v[3] > 0.0, "--target-point: found a radius of {}, expected more than 0", v[3]);
+                anyhow::ensure!(
+                    v[3] > 0.0,
+                    "--target-point: found a radius of {}, expected more than 0",
+                    v[3]
+                );
                 Some(Target::Point { point: Point3::new(v[0], v[1], v[2]), radius_m: v[3] })
             }
             (None, Some(label)) => Some(Target::Label(label)),
@@ -160,7 +170,10 @@ impl SearchArgs {
 fn keep_out(numbers: &Numbers<6, 7>) -> anyhow::Result<KeepOut> {
     let v = &numbers.0;
     let half_extents_m = Vector3::new(v[3], v[4], v[5]);
-    anyhow::ensure!(half_extents_m.min() > 0.0, "--keep-out: found half extents {half_extents_m:?}, expected each above 0");
+    anyhow::ensure!(
+        half_extents_m.min() > 0.0,
+        "--keep-out: found half extents {half_extents_m:?}, expected each above 0"
+    );
     let yaw = v.get(6).copied().unwrap_or(0.0);
     Ok(KeepOut { world_from_box: yawed([v[0], v[1], v[2]], yaw), half_extents_m })
 }
@@ -206,14 +219,20 @@ fn parse_volume(text: &str) -> Result<VolumeKind, String> {
 }
 
 fn parse_share(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|x| (0.0..=1.0).contains(x)).ok_or_else(|| "expected a number from 0 to 1".into())
+    text.parse()
+        .ok()
+        .filter(|x| (0.0..=1.0).contains(x))
+        .ok_or_else(|| "expected a number from 0 to 1".into())
 }
 
 fn parse_scheme(text: &str) -> Result<Scheme, String> {
-    let expected = "expected two whole numbers: all iterations (1 to 10000), the last of them with penetration";
+    let expected =
+        "expected two whole numbers: all iterations (1 to 10000), the last of them with penetration";
     let parts: Option<Vec<usize>> = text.split(',').map(|s| s.trim().parse().ok()).collect();
     match parts.as_deref() {
-        Some(&[iterations, with_penetration]) if (1..=10_000).contains(&iterations) && with_penetration <= iterations => {
+        Some(&[iterations, with_penetration])
+            if (1..=10_000).contains(&iterations) && with_penetration <= iterations =>
+        {
             Ok(Scheme { iterations, with_penetration })
         }
         _ => Err(expected.into()),
@@ -229,7 +248,9 @@ fn parse_reaching(text: &str) -> Result<Reaching, String> {
             let expected = "expected top-down, camera, free, or a direction x,y,z";
             let numbers: Numbers<3, 3> = text.parse().map_err(|_| expected.to_owned())?;
             let direction = Vector3::new(numbers.0[0], numbers.0[1], numbers.0[2]);
-            Unit::try_new(direction, 1e-9).map(Reaching::Direction).ok_or_else(|| "expected a direction that is not zero".into())
+            Unit::try_new(direction, 1e-9)
+                .map(Reaching::Direction)
+                .ok_or_else(|| "expected a direction that is not zero".into())
         }
     }
 }
@@ -248,7 +269,8 @@ mod tests {
     }
 
     fn parse(flags: &str) -> Result<Both, String> {
-        Both::try_parse_from(std::iter::once("test").chain(flags.split_whitespace())).map_err(|e| e.to_string())
+        Both::try_parse_from(std::iter::once("test").chain(flags.split_whitespace()))
+            .map_err(|e| e.to_string())
     }
 
     #[test]
@@ -271,7 +293,10 @@ mod tests {
         let options = both.search.options().unwrap();
         assert_eq!(options.scheme, Scheme::QUICK);
         assert_eq!(options.reaching, Reaching::Direction(-Vector3::z_axis()));
-        assert_eq!(options.target, Some(Target::Point { point: Point3::new(-0.1, 0.2, 0.0), radius_m: 0.05 }));
+        assert_eq!(
+            options.target,
+            Some(Target::Point { point: Point3::new(-0.1, 0.2, 0.0), radius_m: 0.05 })
+        );
         assert_eq!(options.keep_out.len(), 1);
         assert_eq!(both.search.budget(), Some(Duration::from_millis(30)));
         assert_eq!(both.scene.options().volume, VolumeKind::Occupancy);

@@ -39,7 +39,11 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let bench = cases::Bench::new(args.contact_field.as_deref())?;
     let wanted = |name: &str| args.filter.split(',').any(|part| name.contains(part.trim()));
     let chosen: Vec<Case> = bench.cases().into_iter().filter(|case| wanted(&case.name)).collect();
-    anyhow::ensure!(!chosen.is_empty(), "--filter: found {:?}, expected a part of a name such as optimize.leap", args.filter);
+    anyhow::ensure!(
+        !chosen.is_empty(),
+        "--filter: found {:?}, expected a part of a name such as optimize.leap",
+        args.filter
+    );
     let mut results: Vec<(String, Times)> = Vec::new();
     for case in &chosen {
         let times = stats::measure(args.runs as usize, || (case.run)(&bench));
@@ -53,7 +57,9 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     if args.json {
         let object: Map<String, Value> = results
             .iter()
-            .map(|(name, t)| (name.clone(), json!({ "median_ms": t.median_ms, "p95_ms": t.p95_ms, "n": t.count })))
+            .map(|(name, t)| {
+                (name.clone(), json!({ "median_ms": t.median_ms, "p95_ms": t.p95_ms, "n": t.count }))
+            })
             .collect();
         writeln!(out, "{}", Value::Object(object))?;
     } else {
@@ -63,7 +69,8 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
 }
 
 fn table(results: &[(String, Times)], bench: &cases::Bench) -> String {
-    let mut table = Table::new(&["name", "median ms", "p95 ms", "n", "target ms", "published ms", "faster"], 1);
+    let mut table =
+        Table::new(&["name", "median ms", "p95 ms", "n", "target ms", "published ms", "faster"], 1);
     for (name, t) in results {
         let published = published::time_ms(name);
         table.row(vec![
@@ -76,7 +83,8 @@ fn table(results: &[(String, Times)], bench: &cases::Bench) -> String {
             published.map_or_else(String::new, |ms| format!("{:.0}x", ms / t.median_ms)),
         ]);
     }
-    let memory = stats::peak_memory_mib().map_or_else(String::new, |mib| format!("peak memory {mib:.0} MiB\n"));
+    let memory =
+        stats::peak_memory_mib().map_or_else(String::new, |mib| format!("peak memory {mib:.0} MiB\n"));
     format!(
         "{table}\n{}\n{} threads\n{memory}published: the paper's Supplementary Table 2, scheme [200, 40], batch 48, \
          on an RTX 3060 Ti (optimization alone)",

@@ -43,11 +43,15 @@ pub(crate) fn run(args: &DemoArgs) -> anyhow::Result<()> {
     if let Some(folder) = &args.regenerate {
         return regenerate(folder);
     }
-    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| format!("{}: cannot be created", args.out.display()))?;
     let (depth, file) = demo_scene::bundled()?;
     let files = FrameFiles::new(depth, file, None)?;
-    let hands: Vec<String> =
-        if args.hands.is_empty() { library::ids().iter().map(|&id| id.to_owned()).collect() } else { args.hands.clone() };
+    let hands: Vec<String> = if args.hands.is_empty() {
+        library::ids().iter().map(|&id| id.to_owned()).collect()
+    } else {
+        args.hands.clone()
+    };
     let search = PlanOptions { seed: args.seed, ..PlanOptions::default() };
     let scene_options = SceneOptions::default();
     let question =
@@ -71,9 +75,8 @@ pub(crate) fn run(args: &DemoArgs) -> anyhow::Result<()> {
 
 /// Starts a server on a free port of this machine and asks it.
 async fn over_the_wire(question: &Question<'_>) -> anyhow::Result<Answers> {
-    let mut config = ServerConfig::default();
-    config.listen = ([127, 0, 0, 1], 0).into();
-    let server = Server::bind(config).await?;
+    let listen = ([127, 0, 0, 1], 0).into();
+    let server = Server::bind(ServerConfig { listen, ..ServerConfig::default() }).await?;
     let url = format!("http://{}", server.local_addr());
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
     let serving = tokio::spawn(server.serve_until(async {
@@ -100,7 +103,11 @@ fn draw(folder: &Path, files: &FrameFiles, outcomes: &[Outcome]) -> anyhow::Resu
     let shown = views(&hands, outcomes);
     let (png, html) = (folder.join("graspd-demo.png"), folder.join("graspd-demo.html"));
     write_file(&png, &picture::render(&view, &shown)?)?;
-    let about = format!("{} hands, one depth frame of a simulated table; planned by graspd {}", shown.len(), env!("CARGO_PKG_VERSION"));
+    let about = format!(
+        "{} hands, one depth frame of a simulated table; planned by graspd {}",
+        shown.len(),
+        env!("CARGO_PKG_VERSION")
+    );
     write_file(&html, page::render("graspd demo", &about, &view, &shown).as_bytes())?;
     Ok((png, html))
 }
@@ -132,7 +139,8 @@ impl Progress {
     }
 
     fn answer(&self, outcome: &Outcome) {
-        let best = outcome.grasps.first().map_or_else(|| "no grasp".to_owned(), |g| format!("{:.3}", g.score));
+        let best =
+            outcome.grasps.first().map_or_else(|| "no grasp".to_owned(), |g| format!("{:.3}", g.score));
         match &self.bar {
             Some(bar) => {
                 bar.inc(1);
@@ -176,7 +184,10 @@ mod tests {
             let scores = |o: &Outcome| o.grasps.iter().map(|g| g.score).collect::<Vec<f64>>();
             assert_eq!(scores(&ours), scores(theirs), "{id}");
             for (a, b) in ours.grasps.iter().zip(&theirs.grasps) {
-                assert!((a.world_from_hand.translation.vector - b.world_from_hand.translation.vector).norm() < 1e-9);
+                assert!(
+                    (a.world_from_hand.translation.vector - b.world_from_hand.translation.vector).norm()
+                        < 1e-9
+                );
                 assert_eq!(a.joints.names, b.joints.names);
                 assert_eq!(a.actuators.values, b.actuators.values);
                 assert_eq!(a.contacts.len(), b.contacts.len());

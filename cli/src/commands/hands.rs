@@ -1,5 +1,7 @@
 //! `graspd hands`: what hands there are, and whether a folder makes one.
 
+mod init;
+
 use std::io::Write as _;
 use std::path::PathBuf;
 
@@ -50,17 +52,20 @@ pub(crate) fn run(args: &HandsArgs) -> anyhow::Result<()> {
         Action::List => write!(out, "{}", list())?,
         Action::Show { hand } => write!(out, "{}", show(&hand_source::resolve(hand)?))?,
         Action::Check { folder } => {
-            anyhow::ensure!(folder.is_dir(), "{}: not a folder; expected one with hand.urdf and hand.toml", folder.display());
-            let hand = hand_source::from_folder(folder)?;
-            write!(out, "{}", show(&hand))?;
-            writeln!(out, "{}: a hand", folder.display())?;
+            anyhow::ensure!(
+                folder.is_dir(),
+                "{}: not a folder; expected one with hand.urdf and hand.toml",
+                folder.display()
+            );
+            let files = graspd_server::read_hand_dir(folder)?;
+            let report = graspd_hands::check(&hand_source::id_of(folder), &files);
+            writeln!(out, "{report}")?;
+            anyhow::ensure!(report.passed(), "{}: {} problems", folder.display(), report.errors.len());
         }
         Action::Init { urdf, out: folder } => init::run(urdf, folder.as_deref(), &mut out)?,
     }
     Ok(())
 }
-
-mod init;
 
 fn millimetres(m: f64) -> String {
     format!("{:.1} mm", m * 1e3)
@@ -96,7 +101,11 @@ fn show(hand: &Hand) -> String {
         millimetres(hand.reach_m()),
     ));
     if let Some(opening) = hand.opening {
-        text.push_str(&format!("opens from {} to {}\n", millimetres(opening.min_m), millimetres(opening.max_m)));
+        text.push_str(&format!(
+            "opens from {} to {}\n",
+            millimetres(opening.min_m),
+            millimetres(opening.max_m)
+        ));
     }
     let mut joints = Table::new(&["joint", "type", "lower", "upper", "effort"], 2);
     for j in &hand.tree.joints {
@@ -105,7 +114,13 @@ fn show(hand: &Hand) -> String {
             JointKind::Prismatic => "prismatic, m",
         };
         let effort = if j.effort > 0.0 { format!("{:.2}", j.effort) } else { "-".into() };
-        joints.row(vec![j.name.clone(), kind.into(), format!("{:.4}", j.lower), format!("{:.4}", j.upper), effort]);
+        joints.row(vec![
+            j.name.clone(),
+            kind.into(),
+            format!("{:.4}", j.lower),
+            format!("{:.4}", j.upper),
+            effort,
+        ]);
     }
     let mut coordinates = Table::new(&["coordinate", "kind", "lower", "upper", "open", "closed"], 2);
     for c in &hand.actuation.coordinates {

@@ -79,7 +79,8 @@ pub(crate) fn run(args: &PlanArgs) -> anyhow::Result<()> {
         let hands = args.hands.iter().filter_map(|name| hand_source::resolve(name).ok()).collect();
         (hands, outcomes, scene)
     } else {
-        let hands: Vec<Hand> = args.hands.iter().map(|n| hand_source::resolve(n)).collect::<anyhow::Result<_>>()?;
+        let hands: Vec<Hand> =
+            args.hands.iter().map(|n| hand_source::resolve(n)).collect::<anyhow::Result<_>>()?;
         let scene = input.observed().scene(&scene_options)?;
         let plan = |hand| local::plan_hand(&scene, hand, &options, args.search.budget());
         let outcomes: Vec<Outcome> = hands.iter().map(plan).collect();
@@ -96,7 +97,10 @@ pub(crate) fn run(args: &PlanArgs) -> anyhow::Result<()> {
         let shown = views(&hands, &outcomes);
         if let Some(path) = &args.page {
             let about = format!("{} hands, planned in {}", shown.len(), input.name());
-            write_file(path, page::render(&format!("Grasps from {}", input.name()), &about, &view, &shown).as_bytes())?;
+            write_file(
+                path,
+                page::render(&format!("Grasps from {}", input.name()), &about, &view, &shown).as_bytes(),
+            )?;
         }
         if let Some(path) = &args.picture {
             write_file(path, &picture::render(&view, &shown)?)?;

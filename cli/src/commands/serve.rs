@@ -38,23 +38,30 @@ pub(crate) struct ServeArgs {
 
 impl ServeArgs {
     fn config(&self) -> anyhow::Result<ServerConfig> {
-        let mut config = ServerConfig::default();
-        config.listen = self.listen;
-        config.insecure_listen = self.insecure_listen;
-        config.max_message_bytes = self.max_message_mib as usize * 1024 * 1024;
+        let mut pool = ServerConfig::default().pool;
         let set = |slot: &mut usize, value: Option<u32>| {
             if let Some(value) = value {
                 *slot = value as usize;
             }
         };
-        set(&mut config.pool.threads, self.threads);
-        set(&mut config.pool.slots, self.slots);
-        set(&mut config.pool.queue, self.queue);
-        config.hands_dir.clone_from(&self.hands_dir);
-        config.drain_grace = Duration::try_from_secs_f64(self.drain_seconds).map_err(|_| {
-            anyhow::anyhow!("--drain-seconds: found {}, expected a number of seconds, 0 or more", self.drain_seconds)
+        set(&mut pool.threads, self.threads);
+        set(&mut pool.slots, self.slots);
+        set(&mut pool.queue, self.queue);
+        let drain_grace = Duration::try_from_secs_f64(self.drain_seconds).map_err(|_| {
+            anyhow::anyhow!(
+                "--drain-seconds: found {}, expected a number of seconds, 0 or more",
+                self.drain_seconds
+            )
         })?;
-        Ok(config)
+        Ok(ServerConfig {
+            listen: self.listen,
+            insecure_listen: self.insecure_listen,
+            max_message_bytes: self.max_message_mib as usize * 1024 * 1024,
+            pool,
+            hands_dir: self.hands_dir.clone(),
+            drain_grace,
+            ..ServerConfig::default()
+        })
     }
 }
 
@@ -89,7 +96,8 @@ mod tests {
 
     #[test]
     fn flags_reach_the_configuration() {
-        let flags = "--listen 127.0.0.1:0 --threads 3 --slots 2 --queue 7 --max-message-mib 4 --drain-seconds 0.5";
+        let flags =
+            "--listen 127.0.0.1:0 --threads 3 --slots 2 --queue 7 --max-message-mib 4 --drain-seconds 0.5";
         let only = Only::parse_from(std::iter::once("serve").chain(flags.split(' ')));
         let config = only.serve.config().unwrap();
         assert_eq!((config.pool.threads, config.pool.slots, config.pool.queue), (3, 2, 7));

@@ -50,8 +50,9 @@ impl Camera {
         let z = -away;
         let x = z.cross(&Vector3::z()).normalize();
         let y = z.cross(&x);
-        let rotation =
-            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z])));
+        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
+            Matrix3::from_columns(&[x, y, z]),
+        ));
         Self {
             width: 640,
             height: 480,
@@ -118,7 +119,11 @@ fn ground(eye: &Point3<f64>, direction: &Vector3<f64>) -> f64 {
     }
     let table = -eye.z / direction.z;
     let p = eye + direction * table;
-    if p.x.abs() <= TABLE_HALF_M[0] && p.y.abs() <= TABLE_HALF_M[1] { table } else { (FLOOR_M - eye.z) / direction.z }
+    if p.x.abs() <= TABLE_HALF_M[0] && p.y.abs() <= TABLE_HALF_M[1] {
+        table
+    } else {
+        (FLOOR_M - eye.z) / direction.z
+    }
 }
 
 /// Unit normal of the union of `objects` near `p`, by central differences.

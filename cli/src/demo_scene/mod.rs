@@ -128,7 +128,8 @@ mod tests {
             for u in (0..camera.width).step_by(4) {
                 let z = f64::from(frame.depth_mm[v * camera.width + u]) * 0.001;
                 if z > 0.0 && z < 1.0 {
-                    let p = camera.world_from_camera * nalgebra::Point3::from(camera.direction(u as f64, v as f64) * z);
+                    let p = camera.world_from_camera
+                        * nalgebra::Point3::from(camera.direction(u as f64, v as f64) * z);
                     seen += 1;
                     far += usize::from(p.z.abs() > 0.012);
                 }

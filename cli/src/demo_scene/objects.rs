@@ -54,7 +54,8 @@ mod tests {
                 let n = 60;
                 for index in 0..n * n * n {
                     let at = |k: usize| k as f64 * 0.4 / n as f64;
-                    let p = Point3::new(at(index % n) - 0.2, at(index / n % n) - 0.2, at(index / n / n) * 0.5);
+                    let p =
+                        Point3::new(at(index % n) - 0.2, at(index / n % n) - 0.2, at(index / n / n) * 0.5);
                     assert!(a.distance(&p).max(b.distance(&p)) > -0.001, "{a:?} and {b:?} at {p}");
                 }
             }

@@ -56,7 +56,9 @@ pub(crate) fn observe(camera: &Camera, exact: &[Hit], seed: u64) -> Vec<u16> {
     let at_edge = |u: usize, v: usize| {
         let z = exact[v * width + u].z_m;
         let step = |du: isize, dv: isize| {
-            let (Some(a), Some(b)) = (u.checked_add_signed(du), v.checked_add_signed(dv)) else { return false };
+            let (Some(a), Some(b)) = (u.checked_add_signed(du), v.checked_add_signed(dv)) else {
+                return false;
+            };
             a < width && b < height && (exact[b * width + a].z_m - z).abs() > EDGE_M
         };
         step(-1, 0) || step(1, 0) || step(0, -1) || step(0, 1)

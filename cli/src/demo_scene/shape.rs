@@ -90,9 +90,11 @@ impl Shape {
             }
             Self::Bottle { radius, height } => {
                 let body_top = height * 0.62;
-                let body =
-                    cylinder(&(p - Point3::new(0.0, 0.0, body_top / 2.0)), radius - 0.006, body_top / 2.0 - 0.006)
-                        - 0.006;
+                let body = cylinder(
+                    &(p - Point3::new(0.0, 0.0, body_top / 2.0)),
+                    radius - 0.006,
+                    body_top / 2.0 - 0.006,
+                ) - 0.006;
                 let neck = cylinder(&(p - Point3::new(0.0, 0.0, height / 2.0)), radius * 0.42, height / 2.0);
                 smooth_union(body, neck, 0.018)
             }

@@ -46,7 +46,8 @@ impl RawDepth {
             Self::from_npy(&file, &bytes)
         } else {
             let head: String = bytes.iter().take(8).map(|b| format!("{b:02x}")).collect();
-            let found = if head.is_empty() { "an empty file".to_owned() } else { format!("first bytes {head}") };
+            let found =
+                if head.is_empty() { "an empty file".to_owned() } else { format!("first bytes {head}") };
             Err(InputError::wrong(&file, "format", found, "a 16-bit grey PNG or a NumPy .npy array"))
         }
     }
@@ -63,7 +64,12 @@ impl RawDepth {
         let (color, bits) = reader.output_color_type();
         if (color, bits) != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
             let found = format!("{color:?} with {} bits", bits as u8);
-            return Err(InputError::wrong(file, "pixel type", found, "Grayscale with 16 bits (depth, not colour)"));
+            return Err(InputError::wrong(
+                file,
+                "pixel type",
+                found,
+                "Grayscale with 16 bits (depth, not colour)",
+            ));
         }
         let mut data = vec![0u8; width * height * 2];
         reader.next_frame(&mut data).map_err(broken)?;

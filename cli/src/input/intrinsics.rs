@@ -76,7 +76,12 @@ impl FrameFile {
             && (width, height) != (depth.width, depth.height)
         {
             let expected = format!("{} x {}, the size of {}", depth.width, depth.height, depth.file);
-            return Err(InputError::wrong(&self.file, "width, height", format!("{width} x {height}"), expected));
+            return Err(InputError::wrong(
+                &self.file,
+                "width, height",
+                format!("{width} x {height}"),
+                expected,
+            ));
         }
         Ok(Frame {
             image: depth.in_metres(self.depth_scale),
@@ -104,7 +109,10 @@ impl Keys<'_> {
     fn number(&self, key: &str) -> Result<f64, InputError> {
         match self.object.get(key) {
             None => Err(self.wrong(key, "nothing", "a number of pixels")),
-            Some(v) => v.as_f64().filter(|x| x.is_finite()).ok_or_else(|| self.wrong(key, kind(v), "a finite number")),
+            Some(v) => v
+                .as_f64()
+                .filter(|x| x.is_finite())
+                .ok_or_else(|| self.wrong(key, kind(v), "a finite number")),
         }
     }
 
@@ -199,7 +207,10 @@ mod tests {
 
     #[test]
     fn errors_name_the_key() {
-        assert_eq!(error(r#"{"fx": 5, "cx": 1, "cy": 1}"#), "f.json: fy: found nothing, expected a number of pixels");
+        assert_eq!(
+            error(r#"{"fx": 5, "cx": 1, "cy": 1}"#),
+            "f.json: fy: found nothing, expected a number of pixels"
+        );
         assert_eq!(
             error(r#"{"fx": -5, "fy": 5, "cx": 1, "cy": 1}"#),
             "f.json: fx: found -5, expected a number above 0"

@@ -37,7 +37,12 @@ pub(crate) enum InputError {
 impl InputError {
     /// A [`InputError::Wrong`].
     pub(crate) fn wrong(file: &str, key: &str, found: impl ToString, expected: impl ToString) -> Self {
-        Self::Wrong { file: file.into(), key: key.into(), found: found.to_string(), expected: expected.to_string() }
+        Self::Wrong {
+            file: file.into(),
+            key: key.into(),
+            found: found.to_string(),
+            expected: expected.to_string(),
+        }
     }
 }
 
@@ -50,7 +55,12 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, InputError> {
     let unreadable = |source| InputError::Unreadable { file: file.clone(), source };
     let length = std::fs::metadata(path).map_err(unreadable)?.len();
     if length > MAX_FILE_BYTES {
-        return Err(InputError::wrong(&file, "size", format!("{length} bytes"), format!("at most {MAX_FILE_BYTES}")));
+        return Err(InputError::wrong(
+            &file,
+            "size",
+            format!("{length} bytes"),
+            format!("at most {MAX_FILE_BYTES}"),
+        ));
     }
     std::fs::read(path).map_err(unreadable)
 }

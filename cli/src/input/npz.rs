@@ -96,7 +96,12 @@ fn array<R: Read + Seek>(
         _ => return Err(InputError::wrong(file, &format!("{name} dtype"), kind, "float32 or float64")),
     };
     if let Some(i) = values.iter().position(|x| !x.is_finite()) {
-        return Err(InputError::wrong(file, name, format!("{} at position {i}", values[i]), "finite numbers"));
+        return Err(InputError::wrong(
+            file,
+            name,
+            format!("{} at position {i}", values[i]),
+            "finite numbers",
+        ));
     }
     Ok((edge, values))
 }

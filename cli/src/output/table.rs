@@ -31,7 +31,9 @@ impl Table {
 impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
-        let width = |c: usize| self.rows.iter().filter_map(|r| r.get(c)).map(|s| s.chars().count()).max().unwrap_or(0);
+        let width = |c: usize| {
+            self.rows.iter().filter_map(|r| r.get(c)).map(|s| s.chars().count()).max().unwrap_or(0)
+        };
         let widths: Vec<usize> = (0..columns).map(width).collect();
         for row in &self.rows {
             let mut line = String::new();
@@ -56,8 +58,10 @@ impl fmt::Display for Table {
 
 /// Every grasp of every hand; for hands without one, why, and what would help.
 pub(crate) fn grasps(outcomes: &[Outcome]) -> String {
-    let mut table =
-        Table::new(&["hand", "rank", "score", "x m", "y m", "z m", "width", "contacts", "epsilon", "clearance"], 1);
+    let mut table = Table::new(
+        &["hand", "rank", "score", "x m", "y m", "z m", "width", "contacts", "epsilon", "clearance"],
+        1,
+    );
     for outcome in outcomes {
         for (i, g) in outcome.grasps.iter().enumerate() {
             let p = g.world_from_hand.translation.vector;
@@ -112,11 +116,25 @@ fn summary(outcome: &Outcome) -> String {
 
 /// One line for each hand: the table of the demo.
 pub(crate) fn hands(outcomes: &[Outcome]) -> String {
-    let header = ["hand", "grasps", "best score", "N_fc", "N_fe", "N_ee", "scene ms", "optimize ms", "rank ms", "if none"];
+    let header = [
+        "hand",
+        "grasps",
+        "best score",
+        "N_fc",
+        "N_fe",
+        "N_ee",
+        "scene ms",
+        "optimize ms",
+        "rank ms",
+        "if none",
+    ];
     let mut table = Table::new(&header, 1);
     let ms = |x: Option<f64>| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.1}"));
     for o in outcomes {
-        let scene = ["decode", "frame", "volume", "estimate", "refine"].iter().filter_map(|s| o.stage_ms(s)).sum::<f64>();
+        let scene = ["decode", "frame", "volume", "estimate", "refine"]
+            .iter()
+            .filter_map(|s| o.stage_ms(s))
+            .sum::<f64>();
         table.row(vec![
             o.hand.clone(),
             o.grasps.len().to_string(),

@@ -97,17 +97,21 @@ pub(crate) async fn ask(
         while let Some(event) = stream.next().await? {
             match event {
                 MultiHandEvent::Result(result) => {
-                    let index: usize = result.task_id.parse().context("the server answered an unknown task")?;
+                    let index: usize =
+                        result.task_id.parse().context("the server answered an unknown task")?;
                     let id = hands.get(index).context("the server answered an unknown task")?;
                     let outcome = match result.outcome.context("the server answered nothing")? {
                         hand_task_result::Outcome::Response(response) => from_wire::outcome(id, &response)?,
-                        hand_task_result::Outcome::Error(e) => bail!("hand {id:?}: {} ({})", e.message, e.reason),
+                        hand_task_result::Outcome::Error(e) => {
+                            bail!("hand {id:?}: {} ({})", e.message, e.reason)
+                        }
                     };
                     on_answer(&outcome);
                     slots[index] = Some(outcome);
                 }
                 MultiHandEvent::Summary(summary) => {
-                    answers.total += summary.total_duration.and_then(|d| Duration::try_from(d).ok()).unwrap_or_default();
+                    answers.total +=
+                        summary.total_duration.and_then(|d| Duration::try_from(d).ok()).unwrap_or_default();
                 }
             }
         }

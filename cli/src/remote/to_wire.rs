@@ -24,7 +24,9 @@ pub(crate) fn frame(files: &FrameFiles) -> DepthFrame {
     // Images are at most 8192 pixels wide.
     let (width, height) = (files.depth.width as i32, files.depth.height as i32);
     let mut frame = match &files.depth.values {
-        DepthValues::U16(values) => depth_frame_u16(width, height, files.file.depth_scale, values, intrinsics),
+        DepthValues::U16(values) => {
+            depth_frame_u16(width, height, files.file.depth_scale, values, intrinsics)
+        }
         DepthValues::Metres(values) => depth_frame_f32(width, height, values, intrinsics),
     };
     frame.camera_pose = files
@@ -46,9 +48,10 @@ pub(crate) fn scene_options(options: &SceneOptions) -> v1::SceneOptions {
     };
     let workspace = match options.workspace {
         WorkspaceRequest::Auto => None,
-        WorkspaceRequest::Placed { world_from_volume, table_m } => {
-            Some(v1::WorkspacePlacement { pose: Some(pose_message(&world_from_volume)), table_height_m: table_m })
-        }
+        WorkspaceRequest::Placed { world_from_volume, table_m } => Some(v1::WorkspacePlacement {
+            pose: Some(pose_message(&world_from_volume)),
+            table_height_m: table_m,
+        }),
     };
     v1::SceneOptions {
         volume_kind: kind.into(),

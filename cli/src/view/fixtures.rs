@@ -1,8 +1,8 @@
 //! A two-finger toy hand and one grasp, for the tests of pictures and pages.
 
 use graspd_hands::{
-    Actuation, Body, CollisionShape, Coordinate, CoordinateKind, Finger, Hand, Joint, JointKind, JointRow, Link,
-    Shape, Tree,
+    Actuation, Body, CollisionShape, Coordinate, CoordinateKind, Finger, Hand, Joint, JointKind, JointRow,
+    Link, Shape, Tree,
 };
 use graspd_planner::grasp::{Postures, ScoreParts};
 use graspd_planner::grid::Grid;
@@ -40,8 +40,11 @@ pub(crate) fn toy_hand() -> Hand {
         shape: Shape::Box { half_extents: half },
     };
     let finger = Vector3::new(0.006, 0.012, 0.03);
-    let visuals =
-        vec![shape(0, Vector3::new(0.06, 0.02, 0.025), 0.025), shape(1, finger, 0.03), shape(2, finger, 0.03)];
+    let visuals = vec![
+        shape(0, Vector3::new(0.06, 0.02, 0.025), 0.025),
+        shape(1, finger, 0.03),
+        shape(2, finger, 0.03),
+    ];
     Hand {
         id: "toy".into(),
         display_name: "Toy <Hand> & \"co\"".into(),
@@ -116,7 +119,13 @@ pub(crate) fn toy_outcome() -> Outcome {
         centroid: Point3::new(0.023, 0.012, 0.031),
         label: None,
     };
-    Outcome { hand: "toy".into(), grasps: vec![grasp], focal_contacts: 2, centered_centroids: 1, ..Outcome::default() }
+    Outcome {
+        hand: "toy".into(),
+        grasps: vec![grasp],
+        focal_contacts: 2,
+        centered_centroids: 1,
+        ..Outcome::default()
+    }
 }
 
 /// The demo frame in a volume on its table, with a few focal contacts.

@@ -97,7 +97,8 @@ pub(crate) fn draw(text: &str, origin: [f64; 2], height: f64, mut paint: impl Fn
         let (top, bottom) = ((origin[1] - size - reach).floor() as i64, (origin[1] + reach).ceil() as i64);
         for y in top..=bottom {
             for x in left..=right {
-                let d = segments.iter().map(|s| distance(s, x as f64, y as f64)).fold(f64::INFINITY, f64::min);
+                let d =
+                    segments.iter().map(|s| distance(s, x as f64, y as f64)).fold(f64::INFINITY, f64::min);
                 let coverage = (thickness / 2.0 + 0.5 - d).clamp(0.0, 1.0);
                 if coverage > 0.0 {
                     paint(x, y, coverage as f32);

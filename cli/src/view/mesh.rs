@@ -86,7 +86,8 @@ pub(crate) fn of_hand(hand: &Hand) -> Vec<TriangleMesh> {
     let shapes = if hand.visuals.is_empty() { &hand.collision } else { &hand.visuals };
     for shape in shapes {
         let link = &hand.tree.links[shape.link];
-        bodies[link.body].add(&TriangleMesh::of_shape(&shape.shape), &(link.body_from_link * shape.link_from_shape));
+        bodies[link.body]
+            .add(&TriangleMesh::of_shape(&shape.shape), &(link.body_from_link * shape.link_from_shape));
     }
     bodies
 }

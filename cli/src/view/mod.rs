@@ -150,7 +150,8 @@ pub(crate) fn accent(index: usize) -> [f32; 3] {
 
 /// A colour for a certainty between 0 and 1: from violet over magenta to yellow; linear red, green, blue.
 pub(crate) fn certainty_color(certainty: f64) -> [f32; 3] {
-    const STOPS: [[f32; 3]; 4] = [[0.07, 0.02, 0.30], [0.52, 0.04, 0.36], [0.90, 0.24, 0.08], [0.98, 0.82, 0.14]];
+    const STOPS: [[f32; 3]; 4] =
+        [[0.07, 0.02, 0.30], [0.52, 0.04, 0.36], [0.90, 0.24, 0.08], [0.98, 0.82, 0.14]];
     let t = (certainty.clamp(0.0, 1.0) * 3.0) as f32;
     let low = (t as usize).min(2);
     let share = t - low as f32;

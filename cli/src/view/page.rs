@@ -43,7 +43,11 @@ pub(crate) fn render(title: &str, about: &str, scene: &ViewScene, hands: &[HandV
         "hands": hands.iter().enumerate().map(|(i, view)| hand(i, view, &scene.middle())).collect::<Vec<_>>(),
     });
     // Inside a script element only `<` could end it; as \u003c it is the same JSON.
-    let data = data.to_string().replace('<', "\\u003c").replace('\u{2028}', "\\u2028").replace('\u{2029}', "\\u2029");
+    let data = data
+        .to_string()
+        .replace('<', "\\u003c")
+        .replace('\u{2028}', "\\u2028")
+        .replace('\u{2029}', "\\u2029");
     TEMPLATE.replacen("__TITLE__", &escape(title), 1).replacen("__DATA__", &data, 1)
 }
 
@@ -159,13 +163,20 @@ fn grasp(view: &HandView<'_>, grasp: &GraspOutcome, middle: &Point3<f64>) -> Opt
         for pose in bodies {
             let pose = about(middle) * pose;
             let (t, q) = (pose.translation.vector, pose.rotation.coords);
-            poses.extend([t.x, t.y, t.z, q.x, q.y, q.z, q.w].into_iter().flat_map(|x| (x as f32).to_le_bytes()));
+            poses.extend(
+                [t.x, t.y, t.z, q.x, q.y, q.z, q.w].into_iter().flat_map(|x| (x as f32).to_le_bytes()),
+            );
         }
     }
     let at = |p: &Point3<f64>| array(&(p - middle));
     let actuators = (0..grasp.actuators.names.len()).filter_map(|i| {
         let v = &grasp.actuators.values;
-        Some(json!([grasp.actuators.names[i], short(*v.open.get(i)?), short(*v.contact.get(i)?), short(*v.squeezed.get(i)?)]))
+        Some(json!([
+            grasp.actuators.names[i],
+            short(*v.open.get(i)?),
+            short(*v.contact.get(i)?),
+            short(*v.squeezed.get(i)?)
+        ]))
     });
     let q = grasp.world_from_hand.rotation.coords;
     let orientation = [q.x, q.y, q.z, q.w].map(short);
@@ -230,7 +241,8 @@ mod tests {
     use crate::view::fixtures;
 
     fn page() -> String {
-        let (scene, hand, mut outcome) = (fixtures::toy_scene(), fixtures::toy_hand(), fixtures::toy_outcome());
+        let (scene, hand, mut outcome) =
+            (fixtures::toy_scene(), fixtures::toy_hand(), fixtures::toy_outcome());
         outcome.grasps[0].contacts[0].pad = "</script><b>".into();
         render("A <b> & \"c\"", "about", &scene, &[HandView { hand: &hand, outcome: &outcome }])
     }

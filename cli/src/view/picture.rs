@@ -88,7 +88,11 @@ impl Stage {
         let color = |p: &Point3<f64>| ground_color((p - table).dot(&up));
         for t in surface.triangles(&eye) {
             let [Some(a), Some(b), Some(c)] = t.map(|i| surface.points[i as usize]) else { continue };
-            let corner = |p: Point3<f64>, i: u32| Corner { point: p, normal: surface.normals[i as usize], color: color(&p) };
+            let corner = |p: Point3<f64>, i: u32| Corner {
+                point: p,
+                normal: surface.normals[i as usize],
+                color: color(&p),
+            };
             buffer.triangle(&camera, &[corner(a, t[0]), corner(b, t[1]), corner(c, t[2])]);
             shadows.add([a, b, c]);
         }
@@ -101,7 +105,13 @@ impl Stage {
         let Some(best) = view.outcome.grasps.first() else {
             let reason = view.outcome.no_grasp.as_ref().map_or("not planned", |(reason, _)| reason);
             let pixels = self.finish(&self.buffer, &self.shadows, &[]);
-            return Tile { pixels, title, figure: "no grasp".into(), detail: reason.replace('_', " "), color };
+            return Tile {
+                pixels,
+                title,
+                figure: "no grasp".into(),
+                detail: reason.replace('_', " "),
+                color,
+            };
         };
         let mut buffer = self.buffer.clone();
         let mut shadows = self.shadows.clone();
@@ -116,7 +126,11 @@ impl Stage {
             .map(|c| Dot { point: c.point, radius: 4.6, color: [0.98, 0.90, 0.25], always: true })
             .collect();
         dots.push(Dot { point: best.centroid, radius: 3.2, color: [0.95, 0.95, 0.95], always: true });
-        let detail = format!("{}, {}", count(view.outcome.grasps.len(), "grasp"), count(best.contacts.len(), "contact"));
+        let detail = format!(
+            "{}, {}",
+            count(view.outcome.grasps.len(), "grasp"),
+            count(best.contacts.len(), "contact")
+        );
         Tile {
             pixels: self.finish(&buffer, &shadows, &dots),
             title,
@@ -216,7 +230,8 @@ fn disc(pixels: &mut [[f32; 3]], width: usize, height: usize, [u, v]: [f64; 2], 
             }
             let d = (dx as f64).hypot(dy as f64);
             if d <= radius + border {
-                pixels[y as usize * width + x as usize] = if d <= radius { dot.color } else { [0.02, 0.02, 0.02] };
+                pixels[y as usize * width + x as usize] =
+                    if d <= radius { dot.color } else { [0.02, 0.02, 0.02] };
             }
         }
     }
@@ -244,7 +259,10 @@ fn look(eye: &Point3<f64>, target: &Point3<f64>, up: &Vector3<f64>) -> Pinhole {
     let x = z.cross(up).try_normalize(1e-9).unwrap_or_else(|| z.cross(&Vector3::x()).normalize());
     let y = z.cross(&x);
     let rotation = Rotation3::from_basis_unchecked(&[x, y, z]);
-    let pose = Isometry3::from_parts(Translation3::from(eye.coords), UnitQuaternion::from_rotation_matrix(&rotation));
+    let pose = Isometry3::from_parts(
+        Translation3::from(eye.coords),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    );
     let half_height_m = 0.200;
     Pinhole {
         focal_px: (TILE[1] * FINE) as f64 / 2.0 * (target - eye).norm() / half_height_m,
@@ -255,7 +273,8 @@ fn look(eye: &Point3<f64>, target: &Point3<f64>, up: &Vector3<f64>) -> Pinhole {
 
 /// Table grey, objects from blue-grey to sand with their height above it.
 fn ground_color(height_m: f64) -> [f32; 3] {
-    let mix = |a: [f32; 3], b: [f32; 3], t: f64| [0, 1, 2].map(|k| a[k] + (b[k] - a[k]) * t.clamp(0.0, 1.0) as f32);
+    let mix =
+        |a: [f32; 3], b: [f32; 3], t: f64| [0, 1, 2].map(|k| a[k] + (b[k] - a[k]) * t.clamp(0.0, 1.0) as f32);
     let (table, low, high) = ([0.36, 0.37, 0.38], [0.42, 0.53, 0.62], [0.80, 0.72, 0.55]);
     mix(table, mix(low, high, (height_m - 0.02) / 0.11), (height_m - 0.004) / 0.006)
 }
@@ -299,7 +318,12 @@ impl Sheet {
             let left = right - lettering::width(&tile.figure) * size;
             self.text(&tile.figure, [left, y + 42.0], size, TEXT);
             if number {
-                self.text("score", [left - lettering::width("score ") * 11.0 - 4.0, y + 42.0], 11.0, QUIET_TEXT);
+                self.text(
+                    "score",
+                    [left - lettering::width("score ") * 11.0 - 4.0, y + 42.0],
+                    11.0,
+                    QUIET_TEXT,
+                );
             }
         }
     }

@@ -23,7 +23,11 @@ impl Pinhole {
     pub(crate) fn project(&self, p: &Point3<f64>) -> Option<[f64; 3]> {
         let c = self.camera_from_world * p;
         (c.z > NEAR_M).then(|| {
-            [self.focal_px * c.x / c.z + self.center_px[0], self.focal_px * c.y / c.z + self.center_px[1], c.z]
+            [
+                self.focal_px * c.x / c.z + self.center_px[0],
+                self.focal_px * c.y / c.z + self.center_px[1],
+                c.z,
+            ]
         })
     }
 
@@ -61,12 +65,20 @@ impl Buffer {
     /// Nothing seen anywhere.
     pub(crate) fn new(width: usize, height: usize) -> Self {
         let n = width * height;
-        Self { width, height, depth: vec![f32::INFINITY; n], normal: vec![[0.0; 3]; n], albedo: vec![[0.0; 3]; n] }
+        Self {
+            width,
+            height,
+            depth: vec![f32::INFINITY; n],
+            normal: vec![[0.0; 3]; n],
+            albedo: vec![[0.0; 3]; n],
+        }
     }
 
     /// Draws a triangle, whichever way it faces.
     pub(crate) fn triangle(&mut self, camera: &Pinhole, corners: &[Corner; 3]) {
-        let [Some(a), Some(b), Some(c)] = [0, 1, 2].map(|i| camera.project(&corners[i].point)) else { return };
+        let [Some(a), Some(b), Some(c)] = [0, 1, 2].map(|i| camera.project(&corners[i].point)) else {
+            return;
+        };
         let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
         if area.abs() < 1e-12 {
             return;
@@ -101,8 +113,8 @@ impl Buffer {
                 let mut color = [0f32; 3];
                 for (corner, w) in corners.iter().zip(weights) {
                     normal += corner.normal * w;
-                    for k in 0..3 {
-                        color[k] += corner.color[k] * w as f32;
+                    for (sum, part) in color.iter_mut().zip(corner.color) {
+                        *sum += part * w as f32;
                     }
                 }
                 self.depth[i] = z;
@@ -200,7 +212,15 @@ impl ShadowMap {
         let helper = if to_light.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
         let a = to_light.cross(&helper).normalize();
         let b = to_light.cross(&a);
-        Self { to_light, up, center, axes: [a, b], half_m, size, height: vec![f32::NEG_INFINITY; size * size] }
+        Self {
+            to_light,
+            up,
+            center,
+            axes: [a, b],
+            half_m,
+            size,
+            height: vec![f32::NEG_INFINITY; size * size],
+        }
     }
 
     fn place(&self, p: &Point3<f64>) -> (f64, f64, f64) {
@@ -261,7 +281,8 @@ mod tests {
 
     fn quad(z: f64, half: f64, color: [f32; 3]) -> [[Corner; 3]; 2] {
         let corner = |x: f64, y: f64| Corner { point: Point3::new(x, y, z), normal: -Vector3::z(), color };
-        let [a, b, c, d] = [corner(-half, -half), corner(half, -half), corner(half, half), corner(-half, half)];
+        let [a, b, c, d] =
+            [corner(-half, -half), corner(half, -half), corner(half, half), corner(-half, half)];
         [[a, b, c], [a, c, d]]
     }
 
@@ -283,7 +304,8 @@ mod tests {
 
     #[test]
     fn a_triangle_behind_the_camera_is_not_drawn() {
-        let camera = Pinhole { focal_px: 20.0, center_px: [5.0, 5.0], camera_from_world: Isometry3::identity() };
+        let camera =
+            Pinhole { focal_px: 20.0, center_px: [5.0, 5.0], camera_from_world: Isometry3::identity() };
         let mut buffer = Buffer::new(11, 11);
         for triangle in &quad(-0.5, 0.2, [1.0; 3]) {
             buffer.triangle(&camera, triangle);

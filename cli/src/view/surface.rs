@@ -29,10 +29,15 @@ impl Surface {
             .map(|i| {
                 let (u, v) = (i % width * stride, i / width * stride);
                 let z = smooth[v * frame.image.width + u]?;
-                Some(Point3::new((u as f64 - lens.cx_px) / lens.fx_px * z, (v as f64 - lens.cy_px) / lens.fy_px * z, z))
+                Some(Point3::new(
+                    (u as f64 - lens.cx_px) / lens.fx_px * z,
+                    (v as f64 - lens.cy_px) / lens.fy_px * z,
+                    z,
+                ))
             })
             .collect();
-        let at = |u: usize, v: usize| camera_points.get(v * width + u).copied().flatten().filter(|_| u < width);
+        let at =
+            |u: usize, v: usize| camera_points.get(v * width + u).copied().flatten().filter(|_| u < width);
         let mut normals = vec![Vector3::zeros(); width * height];
         for (i, normal) in normals.iter_mut().enumerate() {
             let (u, v) = (i % width, i / width);
@@ -44,7 +49,8 @@ impl Surface {
             let up = v.checked_sub(1).and_then(|v| near(at(u, v))).unwrap_or(p);
             // y points down and z away: (down − up) × (right − left) faces the camera.
             let n = (down - up).cross(&(right - left));
-            *normal = world_from_camera.rotation * n.try_normalize(1e-15).unwrap_or_else(|| -p.coords.normalize());
+            *normal =
+                world_from_camera.rotation * n.try_normalize(1e-15).unwrap_or_else(|| -p.coords.normalize());
         }
         let points = camera_points.iter().map(|p| p.map(|p| world_from_camera * p)).collect();
         Self { width, height, points, normals }
@@ -79,7 +85,8 @@ fn smoothed(frame: &Frame) -> Vec<Option<f64>> {
         .into_par_iter()
         .map(|i| {
             let (u, v) = (i % width, i / width);
-            let (us, vs) = (u.saturating_sub(3)..(u + 4).min(width), v.saturating_sub(3)..(v + 4).min(height));
+            let (us, vs) =
+                (u.saturating_sub(3)..(u + 4).min(width), v.saturating_sub(3)..(v + 4).min(height));
             let around = || vs.clone().flat_map(|b| us.clone().map(move |a| b * width + a));
             let own = valid(frame.image.depth_m[i]);
             let middle = match own {
@@ -119,7 +126,8 @@ mod tests {
 
     #[test]
     fn a_flat_wall_has_normals_towards_the_camera() {
-        let intrinsics = Intrinsics { fx_px: 200.0, fy_px: 200.0, cx_px: 10.0, cy_px: 8.0, distortion: [0.0; 8] };
+        let intrinsics =
+            Intrinsics { fx_px: 200.0, fy_px: 200.0, cx_px: 10.0, cy_px: 8.0, distortion: [0.0; 8] };
         let mut depth_m = vec![0.8f32; 20 * 16];
         depth_m[8 * 20 + 10] = 0.0;
         let image = DepthImage { width: 20, height: 16, depth_m };

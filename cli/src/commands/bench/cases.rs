@@ -79,7 +79,9 @@ impl Bench {
         ];
         let hands = || library::ids().iter().filter_map(|id| library::hand(id));
         for hand in hands() {
-            cases.push(case(&format!("optimize.{}", hand.id), |b| optimize(&b.scene, hand, &PlanOptions::default())));
+            cases.push(case(&format!("optimize.{}", hand.id), |b| {
+                optimize(&b.scene, hand, &PlanOptions::default())
+            }));
         }
         if let Some(antipodal) = library::hand("antipodal") {
             let scheme = Scheme { iterations: 100, with_penetration: 40 };
@@ -97,7 +99,9 @@ impl Bench {
         if let Some(hand) = library::hand("robotiq-3f") {
             for batch in [12, 24, 48, 96] {
                 let options = PlanOptions { batch, ..PlanOptions::default() };
-                cases.push(case(&format!("scaling.batch.{batch}"), move |b| optimize(&b.scene, hand, &options)));
+                cases.push(case(&format!("scaling.batch.{batch}"), move |b| {
+                    optimize(&b.scene, hand, &options)
+                }));
             }
             for iterations in [50, 100, 200, 400] {
                 let scheme = Scheme { iterations, with_penetration: 40 };
@@ -139,8 +143,10 @@ impl Bench {
 
     /// The encoding of the bundled frame as a volume: fusion, completion and the network's input.
     fn volume(&self, kind: VolumeKind) -> Duration {
-        let mut volume = graspd_planner::volume::Volume::empty(self.framed.volume.grid, self.framed.volume.table_m);
-        let camera_from_volume = self.framed.world_from_camera.inverse() * self.framed.workspace.world_from_volume;
+        let mut volume =
+            graspd_planner::volume::Volume::empty(self.framed.volume.grid, self.framed.volume.table_m);
+        let camera_from_volume =
+            self.framed.world_from_camera.inverse() * self.framed.workspace.world_from_volume;
         time(|| {
             volume.integrate(&self.frame, &self.frame.image.depth_m, &camera_from_volume);
             volume.network_input(kind)
@@ -155,7 +161,9 @@ impl Bench {
             scene.map(|scene| {
                 hands
                     .iter()
-                    .map(|hand| plan::plan(&scene, hand, &PlanOptions::default(), &StdBudget::new(None), None))
+                    .map(|hand| {
+                        plan::plan(&scene, hand, &PlanOptions::default(), &StdBudget::new(None), None)
+                    })
                     .collect::<Vec<_>>()
             })
         })
