@@ -1,1 +1,23 @@
 //! The graspd gRPC service: wire and domain conversion, planning pool, hand registry.
+//!
+//! A call passes, in this order: the service's layer (deadline, draining, log), `convert` (parse, don't
+//! validate), the engine and its planning pool (CPU work never runs on the network runtime's threads), and
+//! `convert` again on the way out. Errors are typed and become gRPC status in [`status`] alone.
+
+pub mod decode;
+pub mod error;
+pub mod estimators;
+pub mod pool;
+pub mod registry;
+pub mod status;
+
+mod convert;
+mod deadline;
+mod engine;
+mod serve;
+mod service;
+
+pub use deadline::{CallBudget, CancelOnDrop};
+pub use estimators::Estimators;
+pub use registry::read_hand_dir;
+pub use serve::{LoadProbe, ServeError, Server, ServerConfig, shutdown_signal};

@@ -1,1 +1,10 @@
-//! End-to-end tests of graspd over real sockets.
+//! What the end-to-end tests share: a server in this process on a free port, and a depth frame of a known
+//! scene.
+
+mod estimators;
+mod scene;
+mod server;
+
+pub use estimators::{PANICS, STALLS};
+pub use scene::{BOX_HALF_M, BoxScene, SCENE_FRAME};
+pub use server::TestServer;

@@ -1,0 +1,167 @@
+//! Whole requests from the wire: one scene, and one job for each hand.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use graspd_planner::options::{PlanOptions, SceneOptions, Target};
+use graspd_proto::v1;
+
+use super::options::{plan_options, scene_options};
+use super::{EncodedFrame, hand_id, join, quoted};
+use crate::error::FieldError;
+
+/// At most this many frames make a scene.
+const MOST_FRAMES: usize = 16;
+/// At most this many hands in a request.
+const MOST_TASKS: usize = 16;
+
+/// A checked scene whose pixels are still encoded.
+#[derive(Debug, Clone)]
+pub(crate) struct SceneRequest {
+    /// One or several frames of one moment.
+    pub(crate) frames: Vec<EncodedFrame>,
+    /// How they are read.
+    pub(crate) options: SceneOptions,
+    /// Estimator by name; `None`: the server's default.
+    pub(crate) estimator: Option<String>,
+}
+
+/// What to do for one hand.
+#[derive(Debug, Clone)]
+pub(crate) struct HandJob {
+    /// The caller's name for it; empty for a request with one hand.
+    pub(crate) task_id: String,
+    /// The hand's id.
+    pub(crate) hand_id: String,
+    /// How grasps are searched.
+    pub(crate) options: PlanOptions,
+    /// Stop after this.
+    pub(crate) budget: Option<Duration>,
+}
+
+impl SceneRequest {
+    fn parse(
+        frames: Vec<v1::DepthFrame>,
+        options: Option<v1::SceneOptions>,
+        path: &str,
+    ) -> Result<Self, FieldError> {
+        let frames_path = join(path, "frames");
+        if frames.is_empty() {
+            return Err(FieldError::missing(frames_path, "at least one depth frame"));
+        }
+        if frames.len() > MOST_FRAMES {
+            return Err(FieldError::value(
+                frames_path,
+                format!("{} frames", frames.len()),
+                format!("at most {MOST_FRAMES} frames"),
+            ));
+        }
+        let frames = (frames.into_iter().enumerate())
+            .map(|(i, frame)| EncodedFrame::parse(frame, format!("{frames_path}[{i}]")))
+            .collect::<Result<Vec<_>, _>>()?;
+        check_one_world(&frames, &frames_path)?;
+        let (options, estimator) = scene_options(options, &join(path, "scene_options"))?;
+        Ok(Self { frames, options, estimator })
+    }
+
+    /// Name of the optical frame of the first camera.
+    pub(crate) fn camera_frame_id(&self) -> &str {
+        self.frames.first().map_or("camera", |f| f.camera_frame_id.as_str())
+    }
+
+    /// Name of the world frame: the first camera's own when the caller gave no pose.
+    pub(crate) fn world_frame_id(&self) -> &str {
+        self.frames
+            .first()
+            .and_then(|f| f.world_frame_id.as_deref())
+            .unwrap_or_else(|| self.camera_frame_id())
+    }
+
+    /// When the first frame was taken, as sent.
+    pub(crate) fn capture_time(&self) -> Option<prost_types::Timestamp> {
+        self.frames.first().and_then(|f| f.capture_time)
+    }
+}
+
+/// Several frames need poses in one world.
+fn check_one_world(frames: &[EncodedFrame], path: &str) -> Result<(), FieldError> {
+    let [first, rest @ ..] = frames else { return Ok(()) };
+    for (i, frame) in frames.iter().enumerate() {
+        if !rest.is_empty() && frame.world_from_camera.is_none() {
+            return Err(FieldError::missing(
+                format!("{path}[{i}].camera_pose"),
+                "a pose for each of several frames",
+            ));
+        }
+        if frame.world_frame_id != first.world_frame_id {
+            return Err(FieldError::value(
+                format!("{path}[{i}].camera_pose.frame_id"),
+                quoted(frame.world_frame_id.as_deref().unwrap_or_default()),
+                format!("{}, as in {path}[0]", quoted(first.world_frame_id.as_deref().unwrap_or_default())),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// A target label needs labelled frames.
+fn check_target(scene: &SceneRequest, options: &PlanOptions, path: &str) -> Result<(), FieldError> {
+    if matches!(options.target, Some(Target::Label(_))) && !scene.frames.iter().any(EncodedFrame::has_labels)
+    {
+        return Err(FieldError::value(
+            join(path, "target_label"),
+            "a label",
+            "none unless a frame has labels; use target_point instead",
+        ));
+    }
+    Ok(())
+}
+
+/// A request for one hand; `path` is empty, or the field that holds the request.
+pub(crate) fn plan_grasps(
+    wire: v1::PlanGraspsRequest,
+    path: &str,
+) -> Result<(SceneRequest, HandJob), FieldError> {
+    let hand_id = hand_id(&wire.hand, &join(path, "hand"))?;
+    let scene = SceneRequest::parse(wire.frames, wire.scene_options, path)?;
+    let options_path = join(path, "options");
+    let (options, budget) = plan_options(wire.options, &options_path)?;
+    check_target(&scene, &options, &options_path)?;
+    Ok((scene, HandJob { task_id: String::new(), hand_id, options, budget }))
+}
+
+/// A request for several hands.
+pub(crate) fn multi_hand(wire: v1::PlanMultiHandRequest) -> Result<(SceneRequest, Vec<HandJob>), FieldError> {
+    if wire.tasks.is_empty() {
+        return Err(FieldError::missing("tasks", "at least one task"));
+    }
+    if wire.tasks.len() > MOST_TASKS {
+        return Err(FieldError::value(
+            "tasks",
+            format!("{} tasks", wire.tasks.len()),
+            format!("at most {MOST_TASKS} tasks"),
+        ));
+    }
+    let scene = SceneRequest::parse(wire.frames, wire.scene_options, "")?;
+    let mut seen = BTreeSet::new();
+    let mut jobs = Vec::with_capacity(wire.tasks.len());
+    for (i, task) in wire.tasks.into_iter().enumerate() {
+        let path = format!("tasks[{i}]");
+        let id_path = join(&path, "task_id");
+        if task.task_id.is_empty() {
+            return Err(FieldError::missing(id_path, "a name for the task"));
+        }
+        if task.task_id.len() > 256 {
+            return Err(FieldError::value(id_path, quoted(&task.task_id), "at most 256 bytes"));
+        }
+        if !seen.insert(task.task_id.clone()) {
+            return Err(FieldError::value(id_path, quoted(&task.task_id), "a name that no other task has"));
+        }
+        let hand_id = hand_id(&task.hand, &join(&path, "hand"))?;
+        let options_path = join(&path, "options");
+        let (options, budget) = plan_options(task.options, &options_path)?;
+        check_target(&scene, &options, &options_path)?;
+        jobs.push(HandJob { task_id: task.task_id, hand_id, options, budget });
+    }
+    Ok((scene, jobs))
+}

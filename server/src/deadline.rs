@@ -1,0 +1,190 @@
+//! Time and cancellation of a call: when it arrived, when its answer is due, and whether anybody still waits.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use graspd_planner::budget::{Budget, Stop};
+use tonic::codegen::http::HeaderMap;
+
+/// When a call arrived and when its caller stops waiting.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CallClock {
+    /// Arrival of the call's headers.
+    pub(crate) arrived: Instant,
+    /// `grpc-timeout`, if the caller sent one.
+    pub(crate) timeout: Option<Duration>,
+}
+
+impl CallClock {
+    /// Reads the clock of a call that arrives now.
+    pub(crate) fn start(headers: &HeaderMap) -> Self {
+        let timeout = headers.get("grpc-timeout").and_then(|v| v.to_str().ok()).and_then(parse_timeout);
+        Self { arrived: Instant::now(), timeout }
+    }
+
+    /// Time since the arrival.
+    pub(crate) fn elapsed(&self) -> Duration {
+        self.arrived.elapsed()
+    }
+
+    /// When planning must end so that its answer can be encoded and sent before the caller stops waiting.
+    pub(crate) fn planning_deadline(&self) -> Option<Instant> {
+        let reserve = |t: Duration| (t / 20).clamp(Duration::from_millis(10), Duration::from_millis(100));
+        self.timeout.and_then(|t| self.arrived.checked_add(t.saturating_sub(reserve(t).min(t / 2))))
+    }
+
+    /// When an answer must leave even if it is only DEADLINE_EXCEEDED: before the transport's own timer,
+    /// which would say CANCELLED.
+    pub(crate) fn answer_deadline(&self) -> Option<Instant> {
+        let reserve = |t: Duration| (t / 20).min(Duration::from_millis(3));
+        self.timeout.and_then(|t| self.arrived.checked_add(t.saturating_sub(reserve(t))))
+    }
+}
+
+/// Parses a `grpc-timeout` header: at most 8 digits and a unit (gRPC over HTTP/2, "Timeout").
+pub(crate) fn parse_timeout(text: &str) -> Option<Duration> {
+    let unit_at = text.len().checked_sub(1)?;
+    let (digits, unit) = (text.get(..unit_at)?, text.get(unit_at..)?);
+    if digits.is_empty() || digits.len() > 8 || !digits.bytes().all(|b| b.is_ascii_digit()) {
+        return None;
+    }
+    let n: u64 = digits.parse().ok()?;
+    Some(match unit {
+        "H" => Duration::from_secs(n * 3600),
+        "M" => Duration::from_secs(n * 60),
+        "S" => Duration::from_secs(n),
+        "m" => Duration::from_millis(n),
+        "u" => Duration::from_micros(n),
+        "n" => Duration::from_nanos(n),
+        _ => return None,
+    })
+}
+
+/// The budget of a call's work, or of one hand's share of it. Clones share the cancellation.
+#[derive(Debug, Clone)]
+pub struct CallBudget {
+    start: Instant,
+    deadline: Option<Instant>,
+    cancelled: Arc<AtomicBool>,
+    /// Set when the whole server ends.
+    aborted: Arc<AtomicBool>,
+}
+
+impl CallBudget {
+    /// Work that began at `start` and has to end at `deadline`.
+    pub fn new(start: Instant, deadline: Option<Instant>) -> Self {
+        Self { start, deadline, cancelled: Arc::default(), aborted: Arc::default() }
+    }
+
+    /// Also stops when `aborted` is set, which many calls may share.
+    #[must_use]
+    pub fn abort_with(self, aborted: &Arc<AtomicBool>) -> Self {
+        Self { aborted: Arc::clone(aborted), ..self }
+    }
+
+    /// The same work with an end `budget` after its start, if that is earlier.
+    #[must_use]
+    pub fn within(&self, budget: Option<Duration>) -> Self {
+        let own = budget.and_then(|b| self.start.checked_add(b));
+        let deadline = [self.deadline, own].into_iter().flatten().min();
+        Self { deadline, ..self.clone() }
+    }
+
+    /// When work has to end.
+    pub fn deadline(&self) -> Option<Instant> {
+        self.deadline
+    }
+
+    /// Cancels this work and every clone of it.
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Ordering::Relaxed);
+    }
+
+    /// Cancels when the guard is dropped: whoever waits for the work holds it.
+    #[must_use]
+    pub fn cancel_on_drop(&self) -> CancelOnDrop {
+        CancelOnDrop(Arc::clone(&self.cancelled))
+    }
+}
+
+impl Budget for CallBudget {
+    fn elapsed(&self) -> Duration {
+        self.start.elapsed()
+    }
+
+    fn stop(&self) -> Option<Stop> {
+        if self.cancelled.load(Ordering::Relaxed) || self.aborted.load(Ordering::Relaxed) {
+            return Some(Stop::Cancelled);
+        }
+        match self.deadline {
+            Some(deadline) if Instant::now() >= deadline => Some(Stop::Deadline),
+            _ => None,
+        }
+    }
+}
+
+/// Cancels a call's work when it is dropped.
+#[derive(Debug)]
+pub struct CancelOnDrop(Arc<AtomicBool>);
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn timeouts_are_read_as_the_protocol_says() {
+        let cases = [
+            ("1H", Some(Duration::from_secs(3600))),
+            ("2M", Some(Duration::from_secs(120))),
+            ("3S", Some(Duration::from_secs(3))),
+            ("250m", Some(Duration::from_millis(250))),
+            ("99999999u", Some(Duration::from_micros(99_999_999))),
+            ("7n", Some(Duration::from_nanos(7))),
+            ("0m", Some(Duration::ZERO)),
+            ("123456789n", None),
+            ("m", None),
+            ("", None),
+            ("-1S", None),
+            ("+1S", None),
+            ("1é", None),
+            ("10s", None),
+        ];
+        for (text, expected) in cases {
+            assert_eq!(parse_timeout(text), expected, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn planning_ends_before_the_answer_and_the_answer_before_the_caller() {
+        for ms in [1, 20, 100, 1000, 60_000] {
+            let clock = CallClock { arrived: Instant::now(), timeout: Some(Duration::from_millis(ms)) };
+            let planning = clock.planning_deadline().unwrap();
+            let answer = clock.answer_deadline().unwrap();
+            assert!(clock.arrived < planning && planning <= answer, "{ms}");
+            assert!(answer < clock.arrived + Duration::from_millis(ms), "{ms}");
+        }
+    }
+
+    #[test]
+    fn a_budget_ends_at_the_earlier_of_both_and_cancels_together() {
+        let start = Instant::now();
+        let call = CallBudget::new(start, Some(start + Duration::from_secs(10)));
+        let hand = call.within(Some(Duration::from_secs(3)));
+        assert_eq!(hand.deadline(), Some(start + Duration::from_secs(3)));
+        assert_eq!(call.within(Some(Duration::from_secs(30))).deadline(), call.deadline());
+        assert_eq!(CallBudget::new(start, None).within(None).deadline(), None);
+        assert_eq!(CallBudget::new(start, Some(start)).stop(), Some(Stop::Deadline));
+        let guard = call.cancel_on_drop();
+        assert_eq!(hand.stop(), None);
+        drop(guard);
+        assert_eq!(hand.stop(), Some(Stop::Cancelled));
+        assert_eq!(call.stop(), Some(Stop::Cancelled));
+    }
+}

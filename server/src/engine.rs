@@ -1,0 +1,297 @@
+//! From a checked request to answers: one scene and one inference per request, then one job for each hand.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use graspd_hands::Hand;
+use graspd_planner::budget::{Budget as _, Stop};
+use graspd_planner::estimator::ContactEstimator;
+use graspd_planner::grasp::Plan;
+use graspd_planner::scene::{self, Scene, SceneError};
+use graspd_proto::v1;
+
+use crate::convert::{HandJob, PlanContext, SceneRequest, out_of_time_response, plan_response};
+use crate::deadline::{CallBudget, CallClock};
+use crate::error::{FieldError, FieldReason, ServiceError};
+use crate::estimators::Estimators;
+use crate::pool::{Pool, PoolError, Ticket};
+use crate::registry::Registry;
+
+/// What every call shares.
+#[derive(Debug)]
+pub(crate) struct Engine {
+    /// Where planning runs.
+    pub(crate) pool: Pool,
+    /// The hands.
+    pub(crate) registry: Registry,
+    /// The contact estimators.
+    pub(crate) estimators: Estimators,
+    /// Set when the server ends and running jobs are not waited for any longer.
+    pub(crate) aborted: Arc<AtomicBool>,
+}
+
+/// A hand's answer.
+pub(crate) type Answer = Result<v1::PlanGraspsResponse, ServiceError>;
+
+/// A scene that is being prepared or is ready, and what is known of the call.
+#[derive(Clone)]
+pub(crate) struct Call {
+    clock: CallClock,
+    /// Ends with the call; jobs take their share of it.
+    pub(crate) budget: CallBudget,
+    scene: Arc<SceneRequest>,
+    estimator: Arc<dyn ContactEstimator>,
+}
+
+/// What one hand's job needs.
+#[derive(Clone)]
+pub(crate) struct Task {
+    hand: Arc<Hand>,
+    job: Arc<HandJob>,
+}
+
+impl Task {
+    /// The caller's name for it.
+    pub(crate) fn id(&self) -> &str {
+        &self.job.task_id
+    }
+}
+
+/// A scene and how long it took.
+pub(crate) struct ReadScene {
+    scene: Scene,
+    stages: Vec<(&'static str, Duration)>,
+    invalid_pixels: usize,
+    queued: Duration,
+}
+
+impl Engine {
+    /// A call with its scene; unknown estimators are found before anything is queued.
+    pub(crate) fn call(&self, clock: CallClock, scene: SceneRequest) -> Result<Call, ServiceError> {
+        let estimator = self.estimators.get(scene.estimator.as_deref())?;
+        let budget = CallBudget::new(clock.arrived, clock.planning_deadline()).abort_with(&self.aborted);
+        Ok(Call { clock, budget, scene: Arc::new(scene), estimator })
+    }
+
+    /// A task with its hand.
+    pub(crate) fn task(&self, job: HandJob) -> Result<Task, ServiceError> {
+        Ok(Task { hand: self.registry.get(&job.hand_id)?.hand, job: Arc::new(job) })
+    }
+
+    /// Queues a call for one hand as one job. `on_better` gets each better answer, on a planning thread.
+    pub(crate) fn submit_single(
+        &self,
+        call: &Call,
+        task: &Task,
+        on_better: impl FnMut(v1::PlanGraspsResponse) + Send + 'static,
+    ) -> Result<Ticket<Answer>, ServiceError> {
+        let (job_call, job_task) = (call.clone(), task.clone());
+        let budget = call.budget.within(task.job.budget);
+        let job_budget = budget.clone();
+        let ticket =
+            self.pool.submit(&budget, move |queued| match job_call.read_scene(&job_budget, queued) {
+                Ok(read) => job_call.plan(&read, Duration::ZERO, &job_task, &job_budget, on_better),
+                Err(error) => job_call.without_scene(error, &job_task),
+            });
+        ticket.map_err(|e| call.pool_error(&e))
+    }
+
+    /// Queues the reading of a scene for several hands.
+    pub(crate) fn submit_scene(
+        &self,
+        call: &Call,
+        tasks: &[Task],
+    ) -> Result<Ticket<Result<Arc<ReadScene>, ServiceError>>, ServiceError> {
+        // The scene may take as long as the most patient task.
+        let longest = tasks.iter().map(|t| t.job.budget).reduce(|a, b| Some(a?.max(b?))).flatten();
+        let budget = call.budget.within(longest);
+        let (job_call, job_budget) = (call.clone(), budget.clone());
+        let ticket =
+            self.pool.submit(&budget, move |queued| job_call.read_scene(&job_budget, queued).map(Arc::new));
+        ticket.map_err(|e| call.pool_error(&e))
+    }
+
+    /// Queues one hand's share of a call whose scene is read.
+    pub(crate) fn submit_hand(
+        &self,
+        call: &Call,
+        read: &Arc<ReadScene>,
+        task: &Task,
+    ) -> Result<Ticket<Answer>, ServiceError> {
+        let (job_call, job_read, job_task) = (call.clone(), Arc::clone(read), task.clone());
+        let budget = call.budget.within(task.job.budget);
+        let job_budget = budget.clone();
+        let ticket = self.pool.submit_continuation(&budget, move |queued| {
+            job_call.plan(&job_read, queued, &job_task, &job_budget, |_| {})
+        });
+        ticket.map_err(|e| call.pool_error(&e))
+    }
+
+    /// Waits for a task's answer.
+    pub(crate) async fn answer(&self, call: &Call, task: &Task, ticket: Ticket<Answer>) -> Answer {
+        let budget = call.budget.within(task.job.budget);
+        match self.finish(&budget, ticket).await {
+            Ok(answer) => answer,
+            Err(PoolError::Expired) => call.without_scene(call.late("in the queue"), task),
+            Err(error) => Err(call.pool_error(&error)),
+        }
+    }
+
+    /// Waits for a scene.
+    pub(crate) async fn scene(
+        &self,
+        call: &Call,
+        ticket: Ticket<Result<Arc<ReadScene>, ServiceError>>,
+    ) -> Result<Arc<ReadScene>, ServiceError> {
+        match self.finish(&call.budget, ticket).await {
+            Ok(read) => read,
+            Err(error) => Err(call.pool_error(&error)),
+        }
+    }
+
+    /// Waits for a job; at its deadline it leaves the queue if it is still there.
+    pub(crate) async fn finish<T>(&self, budget: &CallBudget, mut ticket: Ticket<T>) -> Result<T, PoolError> {
+        if let Some(deadline) = budget.deadline() {
+            let wait = tokio::time::timeout_at(deadline.into(), ticket.wait());
+            match wait.await {
+                Ok(done) => return done,
+                Err(_) => self.pool.drop_dead(),
+            }
+        }
+        ticket.wait().await
+    }
+}
+
+impl Call {
+    /// The error of a call whose time is up.
+    pub(crate) fn late(&self, stage: &'static str) -> ServiceError {
+        ServiceError::Deadline { elapsed: self.clock.elapsed(), stage }
+    }
+
+    /// When the last word must be sent, if the caller named a time.
+    pub(crate) fn answer_deadline(&self) -> Option<Instant> {
+        self.clock.answer_deadline()
+    }
+
+    /// Time since the arrival.
+    pub(crate) fn elapsed(&self) -> Duration {
+        self.clock.elapsed()
+    }
+
+    /// The error of a job without a result.
+    fn pool_error(&self, error: &PoolError) -> ServiceError {
+        match error {
+            PoolError::Full { waiting, limit, retry_after } => {
+                ServiceError::QueueFull { waiting: *waiting, limit: *limit, retry_after: *retry_after }
+            }
+            PoolError::Expired => self.late("in the queue"),
+            PoolError::Cancelled => ServiceError::Cancelled,
+            PoolError::Panicked => ServiceError::JobPanicked,
+            PoolError::Closed => ServiceError::Draining,
+            PoolError::Threads(_) => ServiceError::Internal { what: error.to_string() },
+        }
+    }
+
+    /// Decodes the frames and prepares the scene; on a planning thread.
+    fn read_scene(&self, budget: &CallBudget, queued: Duration) -> Result<ReadScene, ServiceError> {
+        let began = Instant::now();
+        let mut frames = Vec::with_capacity(self.scene.frames.len());
+        let (mut invalid_pixels, mut pixels) = (0, 0);
+        for encoded in &self.scene.frames {
+            let (frame, invalid) = encoded.decode()?;
+            invalid_pixels += invalid;
+            pixels += frame.image.depth_m.len();
+            if pixels > crate::decode::MAX_PIXELS {
+                let expected = format!("at most {} pixels in all frames together", crate::decode::MAX_PIXELS);
+                return Err(
+                    FieldError::new(FieldReason::Image, encoded.path.clone(), "more", expected).into()
+                );
+            }
+            frames.push(frame);
+        }
+        let mut stages = vec![("decode", began.elapsed())];
+        let scene = scene::prepare(&frames, &self.scene.options, self.estimator.as_ref(), budget)
+            .map_err(|error| self.scene_error(&error))?;
+        stages.extend(scene.stages.iter().copied());
+        Ok(ReadScene { scene, stages, invalid_pixels, queued })
+    }
+
+    fn scene_error(&self, error: &SceneError) -> ServiceError {
+        match error {
+            SceneError::Stopped(Stop::Deadline) => self.late("while the scene was read"),
+            SceneError::Stopped(Stop::Cancelled) => ServiceError::Cancelled,
+            SceneError::NoFrames => FieldError::missing("frames", "at least one depth frame").into(),
+            SceneError::Frame { index, source } => {
+                let field = self.scene.frames.get(*index).map_or("frames", |f| f.path.as_str());
+                FieldError::new(FieldReason::Image, field, source, "a frame that can be read").into()
+            }
+            other => FieldError::new(FieldReason::Image, "frames", other, "frames that make a scene").into(),
+        }
+    }
+
+    /// Plans for one hand in a scene that is read; on a planning thread.
+    fn plan(
+        &self,
+        read: &ReadScene,
+        queued: Duration,
+        task: &Task,
+        budget: &CallBudget,
+        mut on_better: impl FnMut(v1::PlanGraspsResponse),
+    ) -> Answer {
+        let context = |elapsed| PlanContext {
+            stages: &read.stages,
+            invalid_pixels: read.invalid_pixels,
+            queued: read.queued + queued,
+            elapsed,
+            ..self.context(task)
+        };
+        let workspace = &read.scene.workspace;
+        let plan = graspd_planner::plan::plan(
+            &read.scene,
+            &task.hand,
+            &task.job.options,
+            budget,
+            &mut |better: &Plan| on_better(plan_response(better, workspace, &context(self.elapsed()))),
+        );
+        match plan.stats.stopped {
+            Some(Stop::Cancelled) => Err(ServiceError::Cancelled),
+            Some(Stop::Deadline) if plan.grasps.is_empty() && self.call_ends_first(task) => {
+                Err(self.late("while grasps were searched"))
+            }
+            _ => Ok(plan_response(&plan, workspace, &context(budget.elapsed()))),
+        }
+    }
+
+    /// The answer of a task that has no scene: where the caller's own budget ended it, that is an answer.
+    pub(crate) fn without_scene(&self, error: ServiceError, task: &Task) -> Answer {
+        if matches!(error, ServiceError::Deadline { .. }) && !self.call_ends_first(task) {
+            return Ok(out_of_time_response(&self.context(task)));
+        }
+        Err(error)
+    }
+
+    /// True when the call's own deadline comes before the end of the task's budget.
+    fn call_ends_first(&self, task: &Task) -> bool {
+        match (self.budget.deadline(), task.job.budget) {
+            (None, _) => false,
+            (Some(_), None) => true,
+            (Some(deadline), Some(budget)) => deadline <= self.clock.arrived + budget,
+        }
+    }
+
+    fn context<'a>(&'a self, task: &'a Task) -> PlanContext<'a> {
+        PlanContext {
+            hand: &task.hand,
+            world: self.scene.world_frame_id(),
+            camera: self.scene.camera_frame_id(),
+            capture_time: self.scene.capture_time(),
+            estimator: self.estimator.name(),
+            seed: task.job.options.seed,
+            stages: &[],
+            invalid_pixels: 0,
+            queued: Duration::ZERO,
+            elapsed: self.elapsed(),
+        }
+    }
+}

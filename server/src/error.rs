@@ -1,0 +1,206 @@
+//! What can be wrong with a call: one typed error, mapped to gRPC in [`crate::status`] and nowhere else.
+
+use std::fmt;
+use std::time::Duration;
+
+/// Why one field of a request was refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{field}: found {found}, expected {expected}")]
+pub struct FieldError {
+    /// Path of the field, for example `frames[0].intrinsics.fx_px`.
+    pub field: String,
+    /// What was there.
+    pub found: String,
+    /// What should have been.
+    pub expected: String,
+    /// The kind of fault.
+    pub reason: FieldReason,
+}
+
+/// Kinds of faults of a field; the machine-readable reason of an `INVALID_ARGUMENT`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FieldReason {
+    /// A required field is unset or empty.
+    Missing,
+    /// A number or a name out of its range.
+    Value,
+    /// A pose that is not rigid: not finite, or a quaternion that is not of unit length.
+    Pose,
+    /// Intrinsics that no camera has.
+    Intrinsics,
+    /// Pixels that do not make the image that the frame describes.
+    Image,
+}
+
+impl FieldReason {
+    /// All reasons.
+    pub const ALL: [Self; 5] = [Self::Missing, Self::Value, Self::Pose, Self::Intrinsics, Self::Image];
+
+    /// The reason on the wire, for example `INVALID_POSE`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Missing => "MISSING_FIELD",
+            Self::Value => "INVALID_VALUE",
+            Self::Pose => "INVALID_POSE",
+            Self::Intrinsics => "INVALID_INTRINSICS",
+            Self::Image => "INVALID_IMAGE",
+        }
+    }
+}
+
+impl FieldError {
+    /// A required field that is not there.
+    pub fn missing(field: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self {
+            field: field.into(),
+            found: "nothing".to_owned(),
+            expected: expected.into(),
+            reason: FieldReason::Missing,
+        }
+    }
+
+    /// A value out of its range.
+    pub fn value(field: impl Into<String>, found: impl fmt::Display, expected: impl Into<String>) -> Self {
+        Self::new(FieldReason::Value, field, found, expected)
+    }
+
+    /// Any fault.
+    pub fn new(
+        reason: FieldReason,
+        field: impl Into<String>,
+        found: impl fmt::Display,
+        expected: impl Into<String>,
+    ) -> Self {
+        Self { field: field.into(), found: found.to_string(), expected: expected.into(), reason }
+    }
+}
+
+/// Why a call has no answer.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ServiceError {
+    /// A field of the request is wrong.
+    #[error(transparent)]
+    Field(#[from] FieldError),
+    /// There is no hand of that name.
+    #[error("hand {name:?}: not found; ListHands names the hands of this server")]
+    UnknownHand {
+        /// Resource name as asked for.
+        name: String,
+    },
+    /// There is no contact estimator of that name.
+    #[error("estimator {name:?}: not found; this server has {known}")]
+    UnknownEstimator {
+        /// As asked for.
+        name: String,
+        /// Names that there are, separated by commas.
+        known: String,
+    },
+    /// A hand of that id exists.
+    #[error("hand \"hands/{id}\": exists already; delete it first or choose another id")]
+    HandExists {
+        /// The id.
+        id: String,
+    },
+    /// A hand that comes with the server cannot be deleted.
+    #[error(
+        "hand \"hands/{id}\": comes with the server and cannot be deleted; only hands that were created can"
+    )]
+    HandProtected {
+        /// The id.
+        id: String,
+    },
+    /// There is no room for another hand.
+    #[error("{count} hands were created and more than {limit} are not kept; delete one first")]
+    TooManyHands {
+        /// Hands that were created.
+        count: usize,
+        /// At most so many.
+        limit: usize,
+    },
+    /// The uploaded files do not make a hand.
+    #[error("the files do not make a hand: {}", problems_line(.problems, *.more))]
+    BadHand {
+        /// What is wrong, the first few problems.
+        problems: Vec<HandProblem>,
+        /// How many more there are.
+        more: usize,
+    },
+    /// The upload itself breaks a rule.
+    #[error("{field}: {problem}")]
+    BadUpload {
+        /// The field, for example `chunk.path`.
+        field: String,
+        /// What was found, and what was expected.
+        problem: String,
+    },
+    /// All cores are busy and the queue is full.
+    #[error(
+        "the planning queue is full: {waiting} jobs wait and at most {limit} may; retry after {retry_after:?}"
+    )]
+    QueueFull {
+        /// Jobs that wait.
+        waiting: usize,
+        /// At most so many may.
+        limit: usize,
+        /// When a place is likely to be free.
+        retry_after: Duration,
+    },
+    /// The deadline passed with nothing to answer.
+    #[error("the deadline passed after {elapsed:?} {stage}; allow more time or ask for fewer iterations")]
+    Deadline {
+        /// Time since the call arrived.
+        elapsed: Duration,
+        /// What was being done, for example `while the scene was read`.
+        stage: &'static str,
+    },
+    /// Nobody waits for the answer any more.
+    #[error("the call was cancelled")]
+    Cancelled,
+    /// The server is shutting down.
+    #[error("the server is shutting down")]
+    Draining,
+    /// The job crashed; the server goes on.
+    #[error("the planning job crashed; this is a fault of the server, other calls are not affected")]
+    JobPanicked,
+    /// Something that must not happen did.
+    #[error("{what}; this is a fault of the server")]
+    Internal {
+        /// What.
+        what: String,
+    },
+    /// A message is larger than the server takes.
+    #[error(
+        "the message has {found_bytes} bytes and this server takes at most {limit_bytes}; {MESSAGE_SIZE_ADVICE}"
+    )]
+    MessageTooLarge {
+        /// Size of the message.
+        found_bytes: usize,
+        /// The server's limit.
+        limit_bytes: usize,
+    },
+    /// The bytes are not a message of the protocol.
+    #[error("the bytes are not a message of graspd.v1: {problem}")]
+    MalformedMessage {
+        /// What the decoder says.
+        problem: String,
+    },
+}
+
+/// One thing that is wrong with a hand's files.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HandProblem {
+    /// The file, and the element or key in it, for example `files["hand.urdf"]: joint "knuckle"`.
+    pub field: String,
+    /// What was found, and what was expected.
+    pub problem: String,
+}
+
+fn problems_line(problems: &[HandProblem], more: usize) -> String {
+    let mut line: Vec<String> = problems.iter().map(|p| format!("{}: {}", p.field, p.problem)).collect();
+    if more > 0 {
+        line.push(format!("and {more} more problems"));
+    }
+    line.join("; ")
+}
+
+const MESSAGE_SIZE_ADVICE: &str = "send depth as 16-bit pixels or PNG, or raise the server's limit";

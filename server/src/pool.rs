@@ -1,0 +1,441 @@
+//! The planning pool: where CPU work runs, so that no thread of the network runtime ever plans.
+//!
+//! A few slots each run one job at a time on a rayon pool of their own. (In one shared rayon pool a waiting
+//! job could steal a whole other job and finish after its own deadline.) In front of the slots sits a short
+//! queue, ordered by deadline: a long one would only make every answer late. A job whose caller is gone, or
+//! whose deadline has passed, leaves the queue without running. A job that panics answers
+//! [`PoolError::Panicked`]; the slot goes on.
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use graspd_planner::budget::Budget as _;
+use tokio::sync::oneshot;
+
+use crate::deadline::CallBudget;
+
+/// A job without a deadline is queued as if it had this much time, so that it is not overtaken for ever.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Size of a pool.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PoolConfig {
+    /// Threads of each slot's rayon pool.
+    pub threads: usize,
+    /// Jobs that run at the same time.
+    pub slots: usize,
+    /// Jobs that may wait.
+    pub queue: usize,
+}
+
+impl PoolConfig {
+    /// The default for a machine with that many cores: all cores for each job, and up to four jobs at a
+    /// time, because the stages of a job do not all use every core.
+    pub fn for_cores(cores: usize) -> Self {
+        let threads = cores.max(1);
+        Self { threads, slots: threads.min(4), queue: 16 }
+    }
+}
+
+/// Why a job has no result.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PoolError {
+    /// The queue is full.
+    #[error("{waiting} jobs wait, at most {limit} may")]
+    Full {
+        /// Jobs that wait.
+        waiting: usize,
+        /// At most so many.
+        limit: usize,
+        /// When a place is likely to be free.
+        retry_after: Duration,
+    },
+    /// The deadline passed before the job began.
+    #[error("the deadline passed in the queue")]
+    Expired,
+    /// The job was cancelled before it began.
+    #[error("cancelled in the queue")]
+    Cancelled,
+    /// The job panicked.
+    #[error("the job panicked")]
+    Panicked,
+    /// The pool has ended.
+    #[error("the pool has ended")]
+    Closed,
+    /// The threads could not be started.
+    #[error("cannot start planning threads: {0}")]
+    Threads(String),
+}
+
+/// A job in the queue or at work.
+#[derive(Debug)]
+pub struct Ticket<T> {
+    /// Jobs before it when it was queued.
+    pub position: usize,
+    receiver: oneshot::Receiver<Result<T, PoolError>>,
+}
+
+impl<T> Ticket<T> {
+    /// Waits for the end of the job.
+    ///
+    /// # Errors
+    /// [`PoolError`] when the job has no result.
+    pub async fn wait(&mut self) -> Result<T, PoolError> {
+        (&mut self.receiver).await.unwrap_or(Err(PoolError::Closed))
+    }
+}
+
+type Run = Box<dyn FnOnce(&rayon::ThreadPool) + Send>;
+type Refuse = Box<dyn FnOnce(PoolError) + Send>;
+
+struct Job {
+    budget: CallBudget,
+    /// Runs the job and answers its ticket.
+    run: Run,
+    /// Answers its ticket without running it. Shares the ticket with `run`; only one of both is called.
+    refuse: Refuse,
+}
+
+#[derive(Default)]
+struct State {
+    /// By (due time, arrival).
+    waiting: BTreeMap<(Instant, u64), Job>,
+    arrivals: u64,
+    running: usize,
+    /// Moving average of the time that a job runs, seconds.
+    mean_run_s: f64,
+    closed: bool,
+}
+
+struct Shared {
+    state: Mutex<State>,
+    wake: Condvar,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // Jobs run outside the lock, so a poisoned lock still holds a consistent state.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The pool. Dropping it ends its threads after the jobs that they are at.
+pub struct Pool {
+    shared: Arc<Shared>,
+    config: PoolConfig,
+}
+
+impl std::fmt::Debug for Pool {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Pool")
+            .field("config", &self.config)
+            .field("waiting", &self.waiting())
+            .field("running", &self.running())
+            .finish()
+    }
+}
+
+impl Pool {
+    /// Starts the threads of a pool. Numbers under 1 are taken as 1; a queue of 0 takes a job only when a
+    /// slot is free.
+    ///
+    /// # Errors
+    /// [`PoolError::Threads`] when the system refuses a thread.
+    pub fn start(config: PoolConfig) -> Result<Self, PoolError> {
+        let shared = Arc::new(Shared {
+            state: Mutex::new(State { mean_run_s: 0.1, ..State::default() }),
+            wake: Condvar::new(),
+        });
+        let pool = Self { shared: Arc::clone(&shared), config };
+        for slot in 0..config.slots.max(1) {
+            let rayon = rayon::ThreadPoolBuilder::new()
+                .num_threads(config.threads.max(1))
+                .thread_name(move |i| format!("plan-{slot}-{i}"))
+                .build()
+                .map_err(|e| PoolError::Threads(e.to_string()))?;
+            let shared = Arc::clone(&shared);
+            std::thread::Builder::new()
+                .name(format!("plan-{slot}"))
+                .spawn(move || run_slot(&shared, &rayon))
+                .map_err(|e| PoolError::Threads(e.to_string()))?;
+        }
+        Ok(pool)
+    }
+
+    /// Queues a job, which is told how long it waited; parallel iterators inside it use its slot's threads.
+    ///
+    /// # Errors
+    /// [`PoolError::Full`] when no more jobs may wait, [`PoolError::Closed`] when the pool has ended.
+    pub fn submit<T, F>(&self, budget: &CallBudget, job: F) -> Result<Ticket<T>, PoolError>
+    where
+        T: Send + 'static,
+        F: FnOnce(Duration) -> T + Send + 'static,
+    {
+        self.enqueue(budget, job, true)
+    }
+
+    /// Queues a job that continues one that was admitted: it may wait even where a new one may not.
+    ///
+    /// # Errors
+    /// [`PoolError::Closed`] when the pool has ended.
+    pub fn submit_continuation<T, F>(&self, budget: &CallBudget, job: F) -> Result<Ticket<T>, PoolError>
+    where
+        T: Send + 'static,
+        F: FnOnce(Duration) -> T + Send + 'static,
+    {
+        self.enqueue(budget, job, false)
+    }
+
+    /// Jobs that wait.
+    pub fn waiting(&self) -> usize {
+        self.shared.lock().waiting.len()
+    }
+
+    /// Jobs that run.
+    pub fn running(&self) -> usize {
+        self.shared.lock().running
+    }
+
+    /// Answers and removes every waiting job that was cancelled or whose deadline has passed.
+    pub fn drop_dead(&self) {
+        let mut dead = Vec::new();
+        take_dead(&mut self.shared.lock(), &mut dead);
+        dead.into_iter().for_each(refuse_dead);
+    }
+
+    /// Refuses every waiting job and every new one; running jobs end by themselves.
+    pub fn close(&self) {
+        let refused = {
+            let mut state = self.shared.lock();
+            state.closed = true;
+            std::mem::take(&mut state.waiting)
+        };
+        self.shared.wake.notify_all();
+        for (_, job) in refused {
+            (job.refuse)(PoolError::Closed);
+        }
+    }
+
+    fn enqueue<T, F>(&self, budget: &CallBudget, job: F, limited: bool) -> Result<Ticket<T>, PoolError>
+    where
+        T: Send + 'static,
+        F: FnOnce(Duration) -> T + Send + 'static,
+    {
+        let arrived = Instant::now();
+        let (sender, receiver) = oneshot::channel();
+        let sender = Arc::new(Mutex::new(Some(sender)));
+        let answer = {
+            let sender = Arc::clone(&sender);
+            move |result: Result<T, PoolError>| {
+                if let Some(sender) = sender.lock().unwrap_or_else(PoisonError::into_inner).take() {
+                    // The caller may be gone; then nobody needs the result.
+                    sender.send(result).ok();
+                }
+            }
+        };
+        let refuse: Refuse = {
+            let answer = answer.clone();
+            Box::new(move |error| answer(Err(error)))
+        };
+        let run: Run = Box::new(move |rayon| {
+            let queued = arrived.elapsed();
+            let result = catch_unwind(AssertUnwindSafe(|| rayon.install(|| job(queued))));
+            answer(result.map_err(|_| PoolError::Panicked));
+        });
+
+        let mut dead = Vec::new();
+        let mut state = self.shared.lock();
+        if state.closed {
+            return Err(PoolError::Closed);
+        }
+        let free_slots = self.config.slots.max(1).saturating_sub(state.running);
+        if limited && state.waiting.len() >= self.config.queue + free_slots {
+            take_dead(&mut state, &mut dead);
+        }
+        let waiting = state.waiting.len();
+        let result = if limited && waiting >= self.config.queue + free_slots {
+            let rounds = (waiting + 1) as f64 / self.config.slots.max(1) as f64;
+            let retry_after = Duration::from_secs_f64((state.mean_run_s * rounds).clamp(0.01, 30.0));
+            Err(PoolError::Full { waiting, limit: self.config.queue, retry_after })
+        } else {
+            let due = budget.deadline().unwrap_or(arrived + PATIENCE);
+            let key = (due, state.arrivals);
+            state.arrivals += 1;
+            let position = state.waiting.range(..key).count();
+            state.waiting.insert(key, Job { budget: budget.clone(), run, refuse });
+            Ok(Ticket { position, receiver })
+        };
+        drop(state);
+        self.shared.wake.notify_one();
+        for job in dead {
+            refuse_dead(job);
+        }
+        result
+    }
+}
+
+impl Drop for Pool {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+/// Takes every job out of the queue that need not run any more.
+fn take_dead(state: &mut State, dead: &mut Vec<Job>) {
+    let keys: Vec<_> =
+        state.waiting.iter().filter(|(_, job)| job.budget.stop().is_some()).map(|(k, _)| *k).collect();
+    dead.extend(keys.iter().filter_map(|key| state.waiting.remove(key)));
+}
+
+fn refuse_dead(job: Job) {
+    let error = match job.budget.stop() {
+        Some(graspd_planner::budget::Stop::Cancelled) => PoolError::Cancelled,
+        _ => PoolError::Expired,
+    };
+    (job.refuse)(error);
+}
+
+/// The life of a slot: take the most urgent job, run it, until the pool is closed.
+fn run_slot(shared: &Shared, rayon: &rayon::ThreadPool) {
+    let mut state = shared.lock();
+    loop {
+        if let Some((_, job)) = state.waiting.pop_first() {
+            if job.budget.stop().is_some() {
+                drop(state);
+                refuse_dead(job);
+                state = shared.lock();
+                continue;
+            }
+            state.running += 1;
+            drop(state);
+            let began = Instant::now();
+            (job.run)(rayon);
+            let took = began.elapsed().as_secs_f64();
+            state = shared.lock();
+            state.running -= 1;
+            state.mean_run_s += 0.2 * (took - state.mean_run_s);
+        } else if state.closed {
+            return;
+        } else {
+            state = shared.wake.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc;
+
+    use super::*;
+
+    fn budget_ms(ms: u64) -> CallBudget {
+        let now = Instant::now();
+        CallBudget::new(now, Some(now + Duration::from_millis(ms)))
+    }
+
+    fn endless() -> CallBudget {
+        CallBudget::new(Instant::now(), None)
+    }
+
+    fn pool(slots: usize, queue: usize) -> Pool {
+        Pool::start(PoolConfig { threads: 1, slots, queue }).unwrap()
+    }
+
+    /// Keeps the pool's only slot busy until the returned sender is dropped.
+    fn occupy(pool: &Pool) -> mpsc::Sender<()> {
+        let (release, wait) = mpsc::channel::<()>();
+        let (begun, began) = mpsc::channel();
+        let ticket = pool.submit(&endless(), move |_| {
+            begun.send(()).unwrap();
+            wait.recv().ok();
+        });
+        assert_eq!(ticket.unwrap().position, 0);
+        began.recv().unwrap();
+        release
+    }
+
+    #[tokio::test]
+    async fn a_full_queue_refuses_at_once_and_says_when_to_come_back() {
+        let pool = pool(1, 2);
+        let release = occupy(&pool);
+        let kept: Vec<_> = (0..2).map(|i| pool.submit(&endless(), move |_| i).unwrap()).collect();
+        assert_eq!(kept.iter().map(|t| t.position).collect::<Vec<_>>(), [0, 1]);
+        let error = pool.submit(&endless(), |_| 9).unwrap_err();
+        assert!(
+            matches!(error, PoolError::Full { waiting: 2, limit: 2, retry_after } if retry_after > Duration::ZERO)
+        );
+        // What continues an admitted job is never refused.
+        let mut continued = pool.submit_continuation(&endless(), |_| 7).unwrap();
+        drop(release);
+        for (i, mut ticket) in kept.into_iter().enumerate() {
+            assert_eq!(ticket.wait().await.unwrap(), i);
+        }
+        assert_eq!(continued.wait().await.unwrap(), 7);
+    }
+
+    #[tokio::test]
+    async fn dead_jobs_make_room_and_never_run() {
+        let pool = pool(1, 1);
+        let release = occupy(&pool);
+        let gone = endless();
+        let mut cancelled = pool.submit(&gone, |_| panic!("must not run")).unwrap();
+        gone.cancel();
+        let mut expired = pool.submit(&budget_ms(0), |_| panic!("must not run")).unwrap();
+        let mut alive = pool.submit(&endless(), |_| "alive").unwrap();
+        drop(release);
+        assert_eq!(cancelled.wait().await.unwrap_err(), PoolError::Cancelled);
+        assert_eq!(expired.wait().await.unwrap_err(), PoolError::Expired);
+        assert_eq!(alive.wait().await.unwrap(), "alive");
+    }
+
+    #[tokio::test]
+    async fn the_most_urgent_job_goes_first() {
+        let pool = pool(1, 8);
+        let release = occupy(&pool);
+        let (order, seen) = mpsc::channel();
+        let mut tickets = Vec::new();
+        for (ms, name) in [(60_000, "late"), (20_000, "soon"), (40_000, "middle")] {
+            let order = order.clone();
+            tickets.push(pool.submit(&budget_ms(ms), move |_| order.send(name).unwrap()).unwrap());
+        }
+        drop(release);
+        for mut ticket in tickets {
+            ticket.wait().await.unwrap();
+        }
+        assert_eq!(seen.try_iter().collect::<Vec<_>>(), ["soon", "middle", "late"]);
+    }
+
+    #[tokio::test]
+    async fn a_panic_is_one_jobs_own() {
+        let pool = pool(1, 4);
+        let mut bad = pool.submit(&endless(), |_| -> () { panic!("on purpose") }).unwrap();
+        assert_eq!(bad.wait().await, Err(PoolError::Panicked));
+        let inside = pool.submit(&endless(), |_| rayon::join(|| 1, || -> i32 { panic!("on purpose") }));
+        assert_eq!(inside.unwrap().wait().await, Err(PoolError::Panicked));
+        let mut good = pool.submit(&endless(), |_| 3).unwrap();
+        assert_eq!(good.wait().await.unwrap(), 3);
+        assert_eq!(pool.waiting(), 0);
+    }
+
+    #[tokio::test]
+    async fn a_closed_pool_refuses_what_waits_and_what_comes() {
+        let pool = pool(1, 4);
+        let release = occupy(&pool);
+        let mut waiting = pool.submit(&endless(), |_| 1).unwrap();
+        pool.close();
+        assert_eq!(waiting.wait().await, Err(PoolError::Closed));
+        assert_eq!(pool.submit(&endless(), |_| 1).map(|_| ()), Err(PoolError::Closed));
+        drop(release);
+    }
+
+    #[tokio::test]
+    async fn without_a_queue_only_free_slots_take_jobs() {
+        let pool = pool(2, 0);
+        let first = occupy(&pool);
+        let second = occupy(&pool);
+        assert!(matches!(pool.submit(&endless(), |_| ()), Err(PoolError::Full { limit: 0, .. })));
+        drop((first, second));
+    }
+}

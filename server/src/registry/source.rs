@@ -1,0 +1,24 @@
+//! Where hands come from: the one place that asks the hand library.
+
+use std::sync::Arc;
+
+use graspd_hands::{Hand, HandError, HandFiles, library};
+
+/// A hand that was read from files.
+#[derive(Debug)]
+pub(crate) struct Loaded {
+    /// The hand.
+    pub(crate) hand: Hand,
+    /// The description that was written because the files had none.
+    pub(crate) proposed_toml: Option<String>,
+}
+
+/// Every hand that is compiled in.
+pub(super) fn library() -> impl Iterator<Item = Arc<Hand>> {
+    library::ids().iter().filter_map(|id| library::hand(id)).map(|hand| Arc::new(hand.clone()))
+}
+
+/// Reads a hand; a missing `hand.toml` is proposed. Takes milliseconds: not for a thread of the runtime.
+pub(crate) fn load_files(id: &str, files: HandFiles) -> Result<Loaded, HandError> {
+    Ok(Loaded { hand: Hand::load(id, &files)?, proposed_toml: None })
+}

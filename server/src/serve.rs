@@ -1,0 +1,260 @@
+//! The server as a whole: what it listens on, what it offers, and how it ends.
+
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use graspd_proto::v1::hand_service_server::HandServiceServer;
+use graspd_proto::v1::planner_service_server::PlannerServiceServer;
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tonic::transport::server::TcpIncoming;
+use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
+
+use crate::engine::Engine;
+use crate::estimators::Estimators;
+use crate::pool::{Pool, PoolConfig, PoolError};
+use crate::registry::{FolderError, Registry};
+use crate::service::{CallLayer, HandApi, PlannerApi};
+
+/// HTTP/2 window of a stream: a whole depth frame, so that it is not throttled by round trips.
+const STREAM_WINDOW_BYTES: u32 = 8 << 20;
+/// HTTP/2 window of a connection.
+const CONNECTION_WINDOW_BYTES: u32 = 32 << 20;
+/// Concurrent calls on one connection.
+const STREAMS_PER_CONNECTION: u32 = 64;
+/// After the grace period, running calls have this long to notice that they were cancelled.
+const ABORT_GRACE: Duration = Duration::from_millis(500);
+
+/// How a server is set up.
+#[derive(Debug, Clone)]
+pub struct ServerConfig {
+    /// Address to listen on; port 0 takes a free one. Default `127.0.0.1:50051`.
+    pub listen: SocketAddr,
+    /// Allows an address that other machines can reach, without encryption. Default false.
+    pub insecure_listen: bool,
+    /// Largest message that is taken, bytes. Default 16 MiB.
+    pub max_message_bytes: usize,
+    /// The planning pool. Default: by the number of cores.
+    pub pool: PoolConfig,
+    /// A folder of hands to offer besides the library. Default none.
+    pub hands_dir: Option<PathBuf>,
+    /// The contact estimators. Default: the geometric rule.
+    pub estimators: Estimators,
+    /// How long running calls may take to finish once the server is asked to end. Default 10 s.
+    pub drain_grace: Duration,
+}
+
+impl Default for ServerConfig {
+    fn default() -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self {
+            listen: SocketAddr::from(([127, 0, 0, 1], 50051)),
+            insecure_listen: false,
+            max_message_bytes: 16 << 20,
+            pool: PoolConfig::for_cores(cores),
+            hands_dir: None,
+            estimators: Estimators::default(),
+            drain_grace: Duration::from_secs(10),
+        }
+    }
+}
+
+/// Why a server does not start or ends by itself.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ServeError {
+    /// The address is not a loopback address.
+    #[error(
+        "refusing to listen on {addr}: other machines could reach it and the connection would not be encrypted; \
+         listen on a loopback address such as 127.0.0.1:{port}, or allow it with --insecure-listen",
+        port = addr.port()
+    )]
+    NotLoopback {
+        /// The address.
+        addr: SocketAddr,
+    },
+    /// The address cannot be bound.
+    #[error("cannot listen on {addr}: {source}")]
+    Bind {
+        /// The address.
+        addr: SocketAddr,
+        /// Why.
+        source: io::Error,
+    },
+    /// The folder of hands cannot be read.
+    #[error("hands folder: {0}")]
+    Hands(#[from] FolderError),
+    /// The planning threads cannot be started.
+    #[error(transparent)]
+    Pool(#[from] PoolError),
+    /// The transport failed.
+    #[error("transport: {0}")]
+    Transport(#[from] tonic::transport::Error),
+    /// The descriptors for reflection cannot be read.
+    #[error("reflection: {0}")]
+    Reflection(#[from] tonic_reflection::server::Error),
+    /// A helper thread was lost.
+    #[error("loading hands: {0}")]
+    Loading(String),
+}
+
+/// A server that is bound and not yet serving.
+#[derive(Debug)]
+pub struct Server {
+    listener: TcpListener,
+    local_addr: SocketAddr,
+    engine: Arc<Engine>,
+    config: ServerConfig,
+}
+
+/// What the planning pool is doing right now.
+#[derive(Debug, Clone)]
+pub struct LoadProbe {
+    engine: Arc<Engine>,
+}
+
+impl LoadProbe {
+    /// Jobs that run.
+    pub fn running(&self) -> usize {
+        self.engine.pool.running()
+    }
+
+    /// Jobs that wait.
+    pub fn waiting(&self) -> usize {
+        self.engine.pool.waiting()
+    }
+}
+
+impl Server {
+    /// Loads the hands, starts the planning threads and binds the address.
+    ///
+    /// # Errors
+    /// [`ServeError`] when the address is refused or taken, or the folder of hands is not in order.
+    pub async fn bind(config: ServerConfig) -> Result<Self, ServeError> {
+        let addr = config.listen;
+        if !addr.ip().is_loopback() && !config.insecure_listen {
+            return Err(ServeError::NotLoopback { addr });
+        }
+        let hands_dir = config.hands_dir.clone();
+        let registry = tokio::task::spawn_blocking(move || -> Result<Registry, FolderError> {
+            let registry = Registry::with_library();
+            if let Some(path) = hands_dir {
+                let count = registry.add_folder(&path)?;
+                tracing::info!(path = %path.display(), count, "hands read from folder");
+            }
+            Ok(registry)
+        })
+        .await
+        .map_err(|e| ServeError::Loading(e.to_string()))??;
+        let engine = Arc::new(Engine {
+            pool: Pool::start(config.pool)?,
+            registry,
+            estimators: config.estimators.clone(),
+            aborted: Arc::default(),
+        });
+        let fault = |source| ServeError::Bind { addr, source };
+        let listener = TcpListener::bind(addr).await.map_err(fault)?;
+        let local_addr = listener.local_addr().map_err(fault)?;
+        Ok(Self { listener, local_addr, engine, config })
+    }
+
+    /// The address that the server listens on, with its real port.
+    pub fn local_addr(&self) -> SocketAddr {
+        self.local_addr
+    }
+
+    /// A view of the planning pool that outlives the server's own handle.
+    pub fn load(&self) -> LoadProbe {
+        LoadProbe { engine: Arc::clone(&self.engine) }
+    }
+
+    /// Serves until `shutdown` is ready, then drains: health says NOT_SERVING, new calls are refused with
+    /// UNAVAILABLE, running calls have the grace period to finish.
+    ///
+    /// # Errors
+    /// [`ServeError`] when the transport fails.
+    pub async fn serve_until(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
+        let Self { listener, local_addr, engine, config } = self;
+        let draining: Arc<AtomicBool> = Arc::default();
+        let planner = PlannerServiceServer::new(PlannerApi { engine: Arc::clone(&engine) })
+            .max_decoding_message_size(config.max_message_bytes);
+        let hands = HandServiceServer::new(HandApi { engine: Arc::clone(&engine) })
+            .max_decoding_message_size(config.max_message_bytes);
+        let (health, health_service) = tonic_health::server::health_reporter();
+        set_health(&health, ServingStatus::Serving).await;
+        let reflection = tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(graspd_proto::FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+            .build_v1()?;
+        let router = tonic::transport::Server::builder()
+            .initial_stream_window_size(STREAM_WINDOW_BYTES)
+            .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
+            .max_concurrent_streams(STREAMS_PER_CONNECTION)
+            .http2_keepalive_interval(Some(Duration::from_secs(30)))
+            .layer(CallLayer { draining: Arc::clone(&draining) })
+            .add_service(health_service)
+            .add_service(reflection)
+            .add_service(planner)
+            .add_service(hands);
+        let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+        let (stop, stopped) = oneshot::channel::<()>();
+        let serving = router.serve_with_incoming_shutdown(incoming, async {
+            stopped.await.ok();
+        });
+        tokio::pin!(serving);
+        tracing::info!(%local_addr, hands = engine.registry.page(None, usize::MAX).0.len(), "serving");
+        tokio::select! {
+            ended = &mut serving => return Ok(ended?),
+            () = shutdown => {}
+        }
+        tracing::info!(grace_s = config.drain_grace.as_secs_f64(), "draining");
+        set_health(&health, ServingStatus::NotServing).await;
+        draining.store(true, Ordering::Relaxed);
+        // The receiver lives in `serving`, which has not ended.
+        stop.send(()).ok();
+        if let Ok(ended) = tokio::time::timeout(config.drain_grace, &mut serving).await {
+            tracing::info!("drained");
+            return Ok(ended?);
+        }
+        tracing::warn!("calls are still running after the grace period and are cancelled");
+        engine.aborted.store(true, Ordering::Relaxed);
+        engine.pool.close();
+        match tokio::time::timeout(ABORT_GRACE, &mut serving).await {
+            Ok(ended) => Ok(ended?),
+            Err(_) => Ok(()),
+        }
+    }
+}
+
+async fn set_health(reporter: &HealthReporter, status: ServingStatus) {
+    for service in ["", "graspd.v1.PlannerService", "graspd.v1.HandService"] {
+        reporter.set_service_status(service, status).await;
+    }
+}
+
+/// Ready when the process is asked to end: SIGTERM, or an interrupt from the keyboard.
+///
+/// # Errors
+/// When the system refuses to report signals.
+pub async fn shutdown_signal() -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+
+        let mut terminate = signal(SignalKind::terminate())?;
+        tokio::select! {
+            interrupted = tokio::signal::ctrl_c() => interrupted,
+            _ = terminate.recv() => Ok(()),
+        }
+    }
+    #[cfg(not(unix))]
+    {
+        tokio::signal::ctrl_c().await
+    }
+}

@@ -1,0 +1,156 @@
+//! `graspd.v1.HandService`.
+
+use std::sync::Arc;
+
+use graspd_hands::HandError;
+use graspd_proto::v1;
+use graspd_proto::v1::hand_service_server::HandService;
+use tonic::{Request, Response, Status, Streaming};
+
+use super::clock;
+use crate::convert::{hand_id, hand_message, quoted};
+use crate::deadline::CallBudget;
+use crate::engine::Engine;
+use crate::error::{FieldError, HandProblem, ServiceError};
+use crate::pool::PoolError;
+use crate::registry::{Entry, Origin, Upload, is_hand_id, load_files};
+use crate::status;
+
+/// Page size when the caller names none.
+const DEFAULT_PAGE: usize = 50;
+/// Largest page.
+const LARGEST_PAGE: usize = 200;
+/// At most this many problems of a hand are told at once: error details travel in a header of limited size.
+const MOST_PROBLEMS: usize = 6;
+
+/// The service that keeps the hands.
+#[derive(Debug, Clone)]
+pub(crate) struct HandApi {
+    /// What every call shares.
+    pub(crate) engine: Arc<Engine>,
+}
+
+#[tonic::async_trait]
+impl HandService for HandApi {
+    async fn list_hands(
+        &self,
+        request: Request<v1::ListHandsRequest>,
+    ) -> Result<Response<v1::ListHandsResponse>, Status> {
+        let v1::ListHandsRequest { page_size, page_token } = request.into_inner();
+        let limit = match usize::try_from(page_size) {
+            Ok(0) => DEFAULT_PAGE,
+            Ok(size) => size.min(LARGEST_PAGE),
+            Err(_) => {
+                let fault = FieldError::value("page_size", page_size, "0 or more");
+                return Err(ServiceError::from(fault).into());
+            }
+        };
+        if !page_token.is_empty() && !is_hand_id(&page_token) {
+            let fault =
+                FieldError::value("page_token", quoted(&page_token), "a next_page_token of this server");
+            return Err(ServiceError::from(fault).into());
+        }
+        let after = Some(page_token.as_str()).filter(|t| !t.is_empty());
+        let (entries, more) = self.engine.registry.page(after, limit);
+        let next_page_token =
+            entries.last().filter(|_| more).map_or_else(String::new, |last| last.hand.id.clone());
+        let hands = entries.iter().map(message).collect();
+        Ok(Response::new(v1::ListHandsResponse { hands, next_page_token }))
+    }
+
+    async fn get_hand(
+        &self,
+        request: Request<v1::GetHandRequest>,
+    ) -> Result<Response<v1::GetHandResponse>, Status> {
+        let id = hand_id(&request.into_inner().name, "name").map_err(ServiceError::from)?;
+        let hand = message(&self.engine.registry.get(&id)?);
+        Ok(Response::new(v1::GetHandResponse { hand: Some(hand) }))
+    }
+
+    async fn create_hand(
+        &self,
+        request: Request<Streaming<v1::CreateHandRequest>>,
+    ) -> Result<Response<v1::CreateHandResponse>, Status> {
+        let clock = clock(request.extensions());
+        let mut messages = request.into_inner();
+        let mut upload = Upload::begin(messages.message().await.map_err(translated)?)?;
+        self.engine.registry.check_free(&upload.hand_id)?;
+        while let Some(message) = messages.message().await.map_err(translated)? {
+            upload.push(message)?;
+        }
+        let Upload { hand_id, validate_only, files, .. } = upload;
+        let budget =
+            CallBudget::new(clock.arrived, clock.planning_deadline()).abort_with(&self.engine.aborted);
+        let _cancel = budget.cancel_on_drop();
+        let ticket = self
+            .engine
+            .pool
+            .submit(&budget, move |_| load_files(&hand_id, files))
+            .map_err(|e| pool_error(&e, &budget))?;
+        let loaded = self.engine.finish(&budget, ticket).await.map_err(|e| pool_error(&e, &budget))?;
+        let loaded = loaded.map_err(|e| hand_error(&e))?;
+        let hand = if validate_only {
+            hand_message(&loaded.hand, Origin::Created, None)
+        } else {
+            let entry = self.engine.registry.create(loaded.hand)?;
+            tracing::info!(hand = entry.hand.id, revision = entry.hand.revision, "hand created");
+            message(&entry)
+        };
+        let proposed_hand_toml = loaded.proposed_toml.unwrap_or_default();
+        Ok(Response::new(v1::CreateHandResponse { hand: Some(hand), proposed_hand_toml }))
+    }
+
+    async fn delete_hand(
+        &self,
+        request: Request<v1::DeleteHandRequest>,
+    ) -> Result<Response<v1::DeleteHandResponse>, Status> {
+        let id = hand_id(&request.into_inner().name, "name").map_err(ServiceError::from)?;
+        self.engine.registry.delete(&id)?;
+        tracing::info!(hand = id, "hand deleted");
+        Ok(Response::new(v1::DeleteHandResponse {}))
+    }
+}
+
+fn message(entry: &Entry) -> v1::Hand {
+    hand_message(&entry.hand, entry.origin, entry.created)
+}
+
+/// A fault of the stream, in our words.
+fn translated(fault: Status) -> Status {
+    status::from_transport(&fault).map_or(fault, Status::from)
+}
+
+fn pool_error(error: &PoolError, budget: &CallBudget) -> ServiceError {
+    use graspd_planner::budget::Budget as _;
+
+    match error {
+        PoolError::Full { waiting, limit, retry_after } => {
+            ServiceError::QueueFull { waiting: *waiting, limit: *limit, retry_after: *retry_after }
+        }
+        PoolError::Expired => ServiceError::Deadline { elapsed: budget.elapsed(), stage: "in the queue" },
+        PoolError::Cancelled => ServiceError::Cancelled,
+        PoolError::Panicked => ServiceError::JobPanicked,
+        PoolError::Closed => ServiceError::Draining,
+        PoolError::Threads(_) => ServiceError::Internal { what: error.to_string() },
+    }
+}
+
+/// What is wrong with a hand's files, file by file.
+fn hand_error(error: &HandError) -> ServiceError {
+    let file = |name: &str| format!("files[{name:?}]");
+    let mut problems: Vec<HandProblem> = match error {
+        HandError::MissingFile { file: name } => {
+            vec![HandProblem { field: file(name), problem: "found nothing, expected the file".to_owned() }]
+        }
+        HandError::Invalid(found) => (found.0.iter())
+            .map(|p| HandProblem {
+                field: file(&p.file),
+                problem: format!("{}: found {}, expected {}", p.field, p.found, p.expected),
+            })
+            .collect(),
+        other => vec![HandProblem { field: "files".to_owned(), problem: other.to_string() }],
+    };
+    let more = problems.len().saturating_sub(MOST_PROBLEMS);
+    problems.truncate(MOST_PROBLEMS);
+    ServiceError::BadHand { problems, more }
+}

@@ -1,0 +1,20 @@
+//! The gRPC services: thin translations between tonic and the engine.
+
+mod hands;
+mod layer;
+mod planner;
+
+pub(crate) use hands::HandApi;
+pub(crate) use layer::CallLayer;
+pub(crate) use planner::PlannerApi;
+
+use std::time::Instant;
+
+use tonic::Extensions;
+
+use crate::deadline::CallClock;
+
+/// The clock that the layer put into the request.
+fn clock(extensions: &Extensions) -> CallClock {
+    extensions.get::<CallClock>().copied().unwrap_or(CallClock { arrived: Instant::now(), timeout: None })
+}

@@ -1,0 +1,224 @@
+//! `graspd.v1.PlannerService`.
+
+use std::pin::Pin;
+use std::sync::Arc;
+
+use graspd_proto::v1;
+use graspd_proto::v1::planner_service_server::PlannerService;
+use graspd_proto::v1::{plan_multi_hand_response, stream_grasps_response};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinSet;
+use tokio_stream::Stream;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status};
+
+use super::clock;
+use crate::convert::{self, count_message, duration_message};
+use crate::deadline::CancelOnDrop;
+use crate::engine::{Answer, Call, Engine, Task};
+use crate::error::{FieldError, ServiceError};
+use crate::pool::Ticket;
+use crate::status;
+
+/// The planning service.
+#[derive(Debug, Clone)]
+pub(crate) struct PlannerApi {
+    /// What every call shares.
+    pub(crate) engine: Arc<Engine>,
+}
+
+type BoxStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+#[tonic::async_trait]
+impl PlannerService for PlannerApi {
+    type StreamGraspsStream = BoxStream<v1::StreamGraspsResponse>;
+    type PlanMultiHandStream = BoxStream<v1::PlanMultiHandResponse>;
+
+    async fn plan_grasps(
+        &self,
+        request: Request<v1::PlanGraspsRequest>,
+    ) -> Result<Response<v1::PlanGraspsResponse>, Status> {
+        let clock = clock(request.extensions());
+        let (scene, job) = convert::plan_grasps(request.into_inner(), "").map_err(ServiceError::from)?;
+        let task = self.engine.task(job)?;
+        let call = self.engine.call(clock, scene)?;
+        let _cancel = call.budget.cancel_on_drop();
+        let ticket = self.engine.submit_single(&call, &task, |_| {})?;
+        Ok(Response::new(self.engine.answer(&call, &task, ticket).await?))
+    }
+
+    async fn stream_grasps(
+        &self,
+        request: Request<v1::StreamGraspsRequest>,
+    ) -> Result<Response<Self::StreamGraspsStream>, Status> {
+        let clock = clock(request.extensions());
+        let plan = request
+            .into_inner()
+            .plan
+            .ok_or_else(|| ServiceError::from(FieldError::missing("plan", "a request")))?;
+        let (scene, job) = convert::plan_grasps(plan, "plan").map_err(ServiceError::from)?;
+        let task = self.engine.task(job)?;
+        let call = self.engine.call(clock, scene)?;
+        let cancel = call.budget.cancel_on_drop();
+        let (better, improved) = watch::channel(None);
+        let ticket = self.engine.submit_single(&call, &task, move |response| {
+            // Nobody may be listening any more; the budget tells the planner so.
+            better.send(Some(response)).ok();
+        })?;
+        let (sender, receiver) = mpsc::channel(4);
+        let stream = GraspStream { engine: Arc::clone(&self.engine), call, task, sender, _cancel: cancel };
+        tokio::spawn(stream.run(ticket, improved));
+        Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
+    }
+
+    async fn plan_multi_hand(
+        &self,
+        request: Request<v1::PlanMultiHandRequest>,
+    ) -> Result<Response<Self::PlanMultiHandStream>, Status> {
+        let clock = clock(request.extensions());
+        let (scene, jobs) = convert::multi_hand(request.into_inner()).map_err(ServiceError::from)?;
+        let tasks = jobs.into_iter().map(|job| self.engine.task(job)).collect::<Result<Vec<_>, _>>()?;
+        let call = self.engine.call(clock, scene)?;
+        let cancel = call.budget.cancel_on_drop();
+        let ticket = self.engine.submit_scene(&call, &tasks)?;
+        // A frame that cannot be read is an error of the call, so the stream begins when the scene is there.
+        let read = match self.engine.scene(&call, ticket).await {
+            Ok(read) => Ok(read),
+            Err(late @ ServiceError::Deadline { .. }) => Err(late),
+            Err(error) => return Err(error.into()),
+        };
+        let (sender, receiver) = mpsc::channel(tasks.len() + 1);
+        let engine = Arc::clone(&self.engine);
+        tokio::spawn(async move {
+            let _cancel = cancel;
+            let mut answers = JoinSet::new();
+            for task in tasks {
+                let submitted = match &read {
+                    Ok(read) => engine.submit_hand(&call, read, &task),
+                    Err(late) => Err(late.clone()),
+                };
+                let (engine, call) = (Arc::clone(&engine), call.clone());
+                answers.spawn(async move {
+                    let answer = match submitted {
+                        Ok(ticket) => engine.answer(&call, &task, ticket).await,
+                        Err(error) => call.without_scene(error, &task),
+                    };
+                    (task.id().to_owned(), answer)
+                });
+            }
+            tokio::select! {
+                () = sender.closed() => {}
+                () = send_results(&call, answers, &sender) => {}
+            }
+        });
+        Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
+    }
+}
+
+/// Sends each task's result as it comes, then the summary.
+async fn send_results(
+    call: &Call,
+    mut answers: JoinSet<(String, Answer)>,
+    sender: &mpsc::Sender<Result<v1::PlanMultiHandResponse, Status>>,
+) {
+    let mut summary = v1::MultiHandSummary::default();
+    let mut failed = 0;
+    let (mut with, mut without) = (0, 0);
+    while let Some(joined) = answers.join_next().await {
+        // A task of the runtime ends early only when the runtime itself ends.
+        let Ok((task_id, answer)) = joined else { return };
+        match &answer {
+            Ok(response) if response.grasps.is_empty() => without += 1,
+            Ok(_) => with += 1,
+            Err(_) => failed += 1,
+        }
+        let outcome = match answer {
+            Ok(response) => v1::hand_task_result::Outcome::Response(response),
+            Err(error) => v1::hand_task_result::Outcome::Error(task_error(&error)),
+        };
+        let result = v1::HandTaskResult { task_id, outcome: Some(outcome) };
+        let event = Some(plan_multi_hand_response::Event::Result(result));
+        if sender.send(Ok(v1::PlanMultiHandResponse { event })).await.is_err() {
+            return;
+        }
+    }
+    summary.with_grasp_count = count_message(with);
+    summary.without_grasp_count = count_message(without);
+    summary.failed_count = count_message(failed);
+    summary.total_duration = Some(duration_message(call.elapsed()));
+    let event = Some(plan_multi_hand_response::Event::Summary(summary));
+    // A caller that left before the last message needs no summary.
+    sender.send(Ok(v1::PlanMultiHandResponse { event })).await.ok();
+}
+
+fn task_error(error: &ServiceError) -> v1::TaskError {
+    v1::TaskError {
+        code: status::code(error) as i32,
+        message: error.to_string(),
+        reason: status::reason(error).to_owned(),
+    }
+}
+
+/// The sending side of `StreamGrasps`.
+struct GraspStream {
+    engine: Arc<Engine>,
+    call: Call,
+    task: Task,
+    sender: mpsc::Sender<Result<v1::StreamGraspsResponse, Status>>,
+    /// Dropped with the stream: stops the planner.
+    _cancel: CancelOnDrop,
+}
+
+impl GraspStream {
+    async fn run(
+        self,
+        ticket: Ticket<Answer>,
+        mut improved: watch::Receiver<Option<v1::PlanGraspsResponse>>,
+    ) {
+        let accepted = v1::Accepted { queue_position: count_message(ticket.position) };
+        if !self.send(Ok(stream_grasps_response::Event::Accepted(accepted))).await {
+            return;
+        }
+        let answer = self.engine.answer(&self.call, &self.task, ticket);
+        tokio::pin!(answer);
+        let expired = async {
+            match self.call.answer_deadline() {
+                Some(deadline) => tokio::time::sleep_until(deadline.into()).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::pin!(expired);
+        let mut more = true;
+        loop {
+            tokio::select! {
+                biased;
+                () = self.sender.closed() => return,
+                answer = &mut answer => {
+                    self.send(answer.map(stream_grasps_response::Event::Finished)).await;
+                    return;
+                }
+                () = &mut expired => {
+                    self.send(Err(self.call.late("with nothing to answer"))).await;
+                    return;
+                }
+                changed = improved.changed(), if more => {
+                    // The planner lets go of its end when it is done; the answer follows.
+                    more = changed.is_ok();
+                    let better = improved.borrow_and_update().clone();
+                    if let (true, Some(better)) = (more, better)
+                        && !self.send(Ok(stream_grasps_response::Event::Improved(better))).await
+                    {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    /// False when the caller is gone.
+    async fn send(&self, event: Result<stream_grasps_response::Event, ServiceError>) -> bool {
+        let message =
+            event.map(|event| v1::StreamGraspsResponse { event: Some(event) }).map_err(Status::from);
+        self.sender.send(message).await.is_ok()
+    }
+}

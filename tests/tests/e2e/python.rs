@@ -1,0 +1,83 @@
+//! A client in another language: Python with grpcio, from stubs generated from the protocol's files.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use graspd_tests::TestServer;
+
+const PACKAGES: [&str; 4] = ["grpcio", "grpcio-tools", "protobuf", "numpy"];
+
+/// Signs in pip's output that it could not reach an index, rather than that something is wrong here.
+const NO_NETWORK: [&str; 5] = [
+    "NewConnectionError",
+    "Temporary failure in name resolution",
+    "Network is unreachable",
+    "Connection refused",
+    "ConnectTimeoutError",
+];
+
+fn run(command: &mut Command) -> Output {
+    command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"))
+}
+
+fn text(output: &Output) -> String {
+    String::from_utf8_lossy(&[output.stdout.as_slice(), &output.stderr].concat()).into_owned()
+}
+
+/// Makes (or finds) the virtual environment; the reason why there is none.
+fn environment(folder: &Path) -> Result<PathBuf, String> {
+    let python = folder.join("bin/python");
+    let ready = folder.join("graspd-test-ready");
+    if ready.exists() {
+        return Ok(python);
+    }
+    match Command::new("python3").arg("--version").output() {
+        Ok(found) if found.status.success() => {}
+        _ => return Err("python3 is missing".to_owned()),
+    }
+    let made = run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(folder));
+    assert!(made.status.success(), "{}", text(&made));
+    let installed = run(Command::new(&python)
+        .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--retries", "1"])
+        .args(PACKAGES));
+    if !installed.status.success() {
+        let said = text(&installed);
+        assert!(NO_NETWORK.iter().any(|sign| said.contains(sign)), "{said}");
+        return Err(format!("the network is missing: {}", said.lines().last().unwrap_or_default()));
+    }
+    std::fs::write(&ready, "").unwrap();
+    Ok(python)
+}
+
+fn plan_with_python(endpoint: &str) -> Result<String, String> {
+    let scratch = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+    let python = environment(&scratch.join("python-client"))?;
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let protocol = here.join("../proto");
+    let stubs = scratch.join("python-stubs");
+    std::fs::create_dir_all(&stubs).unwrap();
+    let files = ["geometry", "frame", "options", "grasp", "planner_service", "hand_service"];
+    let generated = run(Command::new(&python)
+        .args(["-m", "grpc_tools.protoc", "-I"])
+        .arg(&protocol)
+        .arg(format!("--python_out={}", stubs.display()))
+        .arg(format!("--grpc_python_out={}", stubs.display()))
+        .args(files.map(|f| format!("graspd/v1/{f}.proto"))));
+    assert!(generated.status.success(), "{}", text(&generated));
+    let planned = run(Command::new(&python)
+        .arg(here.join("python/plan_client.py"))
+        .arg(endpoint)
+        .env("PYTHONPATH", &stubs));
+    assert!(planned.status.success(), "{}", text(&planned));
+    Ok(text(&planned))
+}
+
+#[tokio::test]
+async fn a_python_client_plans() {
+    let server = TestServer::start().await;
+    let addr = server.addr.to_string();
+    match tokio::task::spawn_blocking(move || plan_with_python(&addr)).await.unwrap() {
+        Ok(said) => assert!(said.contains("all checks passed"), "{said}"),
+        Err(reason) => eprintln!("skipped: {reason}"),
+    }
+}
