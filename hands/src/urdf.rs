@@ -17,6 +17,8 @@ pub(crate) const MAX_LINKS: usize = 128;
 pub(crate) const MAX_LENGTH_M: f64 = 2.0;
 /// Most shapes of one link.
 const MAX_SHAPES: usize = 64;
+/// Most shapes of the hand.
+const MAX_ALL_SHAPES: usize = 512;
 /// Most triangles of all meshes together.
 const MAX_TRIANGLES: usize = 400_000;
 
@@ -83,6 +85,14 @@ pub(crate) fn read(bytes: &[u8], files: &HandFiles, findings: &mut Findings) -> 
     let (tree, joint_index) = tree(&robot, &order?, &joint_motions, &origins);
     let mimics = mimics(&robot, &joints, &joint_index, &tree, findings);
     let (collision, visuals) = shapes(&robot, &tree, files, findings);
+    if collision.len() > MAX_ALL_SHAPES || visuals.len() > 2 * MAX_ALL_SHAPES {
+        findings.error(
+            URDF,
+            "links",
+            format!("{} collision and {} visual shapes", collision.len(), visuals.len()),
+            format!("at most {MAX_ALL_SHAPES} collision shapes and twice as many visual ones"),
+        );
+    }
     findings.ok().then_some(Model { tree, mimics, collision, visuals })
 }
 

@@ -151,6 +151,44 @@ fn survives_deep_nesting() {
     assert!(Hand::load("x", &files).is_err());
 }
 
+/// A chain of links, each with boxes and a joint.
+fn chain(links: usize, boxes: usize, size: &str) -> HandFiles {
+    let mut urdf = String::from("<robot name=\"x\">");
+    let mut actuators = String::new();
+    for l in 0..links {
+        urdf += &format!("<link name=\"l{l}\">");
+        urdf += &format!("<collision><geometry><box size=\"{size}\"/></geometry></collision>").repeat(boxes);
+        urdf += "</link>";
+        if l > 0 {
+            urdf += &format!(
+                "<joint name=\"j{l}\" type=\"revolute\"><parent link=\"l{}\"/><child link=\"l{l}\"/>\
+                 <origin xyz=\"0.01 0 0\"/><axis xyz=\"0 0 1\"/><limit lower=\"0\" upper=\"1\" effort=\"1\" velocity=\"1\"/></joint>",
+                l - 1
+            );
+            actuators += &format!(
+                "[[actuators]]\nname = \"a{l}\"\njoints = [{{ joint = \"j{l}\" }}]\nopen = 0.0\nclosed = 1.0\n"
+            );
+        }
+    }
+    let toml = format!(
+        "display_name = \"x\"\napproach = [0.0, 0.0, 1.0]\n[[fingers]]\nname = \"f\"\n\
+         [[pads]]\nname = \"p\"\nfinger = \"f\"\nlink = \"l1\"\ncenter = [0.0, 0.0, 0.0]\n\
+         half_u = [0.01, 0.0, 0.0]\nhalf_v = [0.0, 0.01, 0.0]\nnormal = [0.0, 0.0, 1.0]\n{actuators}"
+    );
+    HandFiles::new(urdf + "</robot>", toml)
+}
+
+#[test]
+fn bounds_the_work_for_a_hand() {
+    assert!(refused(&chain(60, 60, "0.02 0.02 0.02")).contains("collision"));
+    assert!(refused(&chain(200, 1, "0.02 0.02 0.02")).contains("links"));
+    // Thin plates two metres wide would need thousands of spheres.
+    assert!(refused(&chain(8, 2, "2 2 0.001")).contains("spheres"));
+    // Within the bounds a large hand loads.
+    let hand = Hand::load("x", &chain(40, 8, "0.02 0.02 0.02")).unwrap_or_else(|e| panic!("{e}"));
+    assert!(hand.self_pairs.len() <= 256);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
 
