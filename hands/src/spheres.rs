@@ -23,7 +23,7 @@ const SURFACE_SAMPLES: f64 = 3000.0;
 /// Most samples of a link, however its shapes are cut up.
 const MOST_SAMPLES: usize = 10_000;
 /// Candidate centres inside one shape, at most.
-const MOST_CENTRES: usize = 1200;
+const MOST_CENTRES: usize = 2000;
 /// Hands of more shapes than this are sampled more coarsely: the work for a hand is bounded.
 const USUAL_SHAPES: usize = 60;
 /// Most spheres of a hand.

@@ -1,6 +1,6 @@
 //! Hostile input: whatever the bytes, loading ends with a hand or an error, never with a panic.
 
-use graspd_hands::{Hand, HandError, HandFiles, check, library};
+use graspd_hands::{Hand, HandError, HandFiles, check, library, propose};
 use proptest::prelude::*;
 
 const URDF: &str = "hand.urdf";
@@ -247,6 +247,24 @@ proptest! {
             for c in &hand.actuation.coordinates {
                 prop_assert!(c.lower <= c.open && c.open <= c.upper && c.lower <= c.closed && c.closed <= c.upper);
             }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Proposing a description for a damaged URDF ends with a proposal or an error.
+    #[test]
+    fn proposals_for_mutated_urdfs_never_panic(edits in prop::collection::vec((any::<prop::sample::Index>(), b'0'..=b'9'), 1..5)) {
+        let mut bytes = panda().files[URDF].clone();
+        let digits: Vec<usize> = (0..bytes.len()).filter(|&i| bytes[i].is_ascii_digit()).collect();
+        for (at, digit) in edits {
+            bytes[digits[at.index(digits.len())]] = digit;
+        }
+        let urdf = String::from_utf8_lossy(&bytes).into_owned();
+        if let Ok(toml) = propose(&urdf, &HandFiles::default()) {
+            prop_assert!(Hand::load("x", &HandFiles::new(urdf, toml)).is_ok());
         }
     }
 }
