@@ -126,7 +126,6 @@ async fn a_full_queue_refuses_at_once_and_a_patient_client_gets_through() {
 /// More iterations than any of these tests waits for.
 fn endless() -> PlanGraspsRequest {
     let options = PlanOptions {
-        batch_size: 256,
         scheme: Some(v1::Scheme { iteration_count: 10_000, penetration_iteration_count: 10_000 }),
         seed: 1,
         ..PlanOptions::default()
