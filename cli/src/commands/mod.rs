@@ -1,0 +1,8 @@
+//! The subcommands.
+
+pub(crate) mod args;
+pub(crate) mod bench;
+pub(crate) mod demo;
+pub(crate) mod hands;
+pub(crate) mod plan;
+pub(crate) mod serve;
