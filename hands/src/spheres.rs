@@ -19,9 +19,9 @@ pub(crate) const PAD_CLEARANCE_M: f64 = 0.0005;
 /// covering them would take most of the spheres.
 const ROUNDING: f64 = 2.0;
 /// Most samples to cover on one link.
-const MOST_SAMPLES: f64 = 5000.0;
+const MOST_SAMPLES: f64 = 3000.0;
 /// Most candidate centres of one shape.
-const MOST_CENTRES: usize = 2500;
+const MOST_CENTRES: usize = 1200;
 
 /// Covers all shapes of a hand, link by link.
 pub(crate) fn cover(
@@ -119,7 +119,7 @@ fn cover_solids(solids: &[Solid<'_>], walls: &[Wall], tolerance: f64) -> Vec<(Po
         samples.extend(&grid);
         centres.extend(grid);
         // A sphere about a surface sample always covers that sample: a cover always exists.
-        let stride = surface.len() / 500 + 1;
+        let stride = surface.len() / 300 + 1;
         centres.extend(surface.into_iter().step_by(stride));
     }
     let candidates: Vec<(Point3<f64>, f64)> = centres

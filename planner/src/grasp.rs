@@ -249,6 +249,7 @@ pub struct Plan {
     pub stats: PlanStats,
     /// Set exactly when there is no grasp.
     pub no_grasp: Option<NoGrasp>,
-    /// With [`crate::options::PlanOptions::trace`]: per iteration the terms of the candidate that ended best.
+    /// With [`crate::options::PlanOptions::trace`]: per iteration the terms of the candidate behind the best grasp
+    /// (of the lowest objective, where there is no grasp).
     pub trace: Vec<ObjectiveTerms>,
 }

@@ -75,8 +75,8 @@ pub enum GridError {
 
 /// Smallest accepted resolution.
 pub const MIN_RESOLUTION: usize = 8;
-/// Largest accepted resolution.
-pub const MAX_RESOLUTION: usize = 256;
+/// Largest accepted resolution: four million voxels, a fifth of a gigabyte of fields.
+pub const MAX_RESOLUTION: usize = 160;
 /// Smallest accepted edge length, metres.
 pub const MIN_SIZE_M: f64 = 0.01;
 /// Largest accepted edge length, metres.
@@ -95,5 +95,23 @@ impl Grid {
             return Err(GridError::Size { found: self.size_m });
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn index_and_voxel_are_inverse_and_limits_hold() {
+        let grid = Grid { resolution: 9, size_m: 0.09 };
+        for i in 0..grid.len() {
+            let [x, y, z] = grid.voxel(i);
+            assert_eq!(grid.index(x, y, z), i);
+        }
+        assert_eq!(Grid::default().validate(), Ok(()));
+        assert_eq!(Grid { resolution: 0, size_m: 0.4 }.validate(), Err(GridError::Resolution { found: 0 }));
+        assert_eq!(Grid { resolution: 80, size_m: -1.0 }.validate(), Err(GridError::Size { found: -1.0 }));
+        assert!(Grid { resolution: 80, size_m: f64::NAN }.validate().is_err());
     }
 }

@@ -16,6 +16,7 @@ const FREE_CONE_RAD: f64 = 1.3;
 #[derive(Debug, Clone)]
 pub(crate) struct Allowed {
     cone_rad: f64,
+    cone_cos: f64,
     roll_rad: Option<(f64, f64)>,
     /// World x and y in the volume frame: the zero of the roll.
     references: [Vector3<f64>; 2],
@@ -29,8 +30,11 @@ impl Allowed {
     ) -> Self {
         let volume_from_world = world_from_volume.rotation.inverse();
         let free = matches!(reaching, Reaching::Free);
+        let cone_rad =
+            if free { std::f64::consts::PI } else { limits.cone_rad.clamp(0.0, std::f64::consts::PI) };
         Self {
-            cone_rad: if free { std::f64::consts::PI } else { limits.cone_rad.max(0.0) },
+            cone_rad,
+            cone_cos: cone_rad.cos(),
             roll_rad: limits.roll_rad,
             references: [volume_from_world * Vector3::x(), volume_from_world * Vector3::y()],
         }
@@ -44,8 +48,8 @@ impl Allowed {
         configuration: &mut Configuration,
     ) {
         let axis = configuration.rotation * model.approach;
-        let angle = axis.angle(reaching);
-        if angle > self.cone_rad {
+        if axis.dot(reaching) < self.cone_cos {
+            let angle = axis.angle(reaching);
             let about = Unit::try_new(axis.cross(reaching), 1e-9).unwrap_or_else(|| perpendicular(reaching));
             turn(model, configuration, UnitQuaternion::from_axis_angle(&about, angle - self.cone_rad));
         }

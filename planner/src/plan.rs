@@ -4,7 +4,7 @@ use graspd_hands::Hand;
 use nalgebra::Isometry3;
 
 use crate::budget::{Budget, Stop};
-use crate::grasp::{EmptyReason, NoGrasp, Plan, PlanStats};
+use crate::grasp::{EmptyReason, NoGrasp, ObjectiveTerms, Plan, PlanStats};
 use crate::hand_model::HandModel;
 use crate::init::Initializer;
 use crate::objective::{Objective, Obstacles, Weights};
@@ -13,7 +13,7 @@ use crate::options::{PlanOptions, Target};
 use crate::orientation::Allowed;
 use crate::rank::{self, Directions, Judge, Ranking};
 use crate::refine::CenteredCentroid;
-use crate::scene::Scene;
+use crate::scene::{Observation, Scene};
 
 /// Plans grasps of `hand` in `scene`.
 ///
@@ -117,8 +117,14 @@ fn finish(ranking: Ranking, mut stats: PlanStats, batch: &Batch<'_>, judge: &Jud
         )
     });
     stats.rejected = ranking.rejected;
-    let trace = ranking.best.map_or_else(Vec::new, |i| batch.candidates[i].trace.clone());
+    let trace = traced(batch, ranking.best);
     Plan { grasps: ranking.grasps, stats, no_grasp, trace }
+}
+
+/// The trace of the candidate behind the best grasp, or of the lowest objective where there is no grasp.
+fn traced(batch: &Batch<'_>, best: Option<usize>) -> Vec<ObjectiveTerms> {
+    let lowest = || batch.candidates.iter().min_by(|a, b| a.terms.total.total_cmp(&b.terms.total));
+    best.map(|i| &batch.candidates[i]).or_else(lowest).map_or_else(Vec::new, |c| c.trace.clone())
 }
 
 fn out_of_time() -> NoGrasp {
@@ -191,15 +197,20 @@ fn target_fix(scene: &Scene, options: &PlanOptions) -> String {
 /// The reason when the scene itself has nothing to grasp.
 fn nothing_to_grasp(scene: &Scene) -> Option<NoGrasp> {
     let features = &scene.features;
-    let (reason, nearest_fix) = if features.focal_contacts.is_empty() {
-        (
+    let (reason, nearest_fix) = match scene.observation {
+        Observation::NothingSeen => (
+            EmptyReason::NothingSeen,
+            "no depth fell into the workspace; check the camera's pose and the workspace",
+        ),
+        Observation::EmptyTable => (EmptyReason::EmptyTable, "nothing stands on the table in the workspace"),
+        Observation::Objects { .. } if features.focal_contacts.is_empty() => (
             EmptyReason::NoContacts,
-            "the contact field has no contact above its threshold; check camera and workspace",
-        )
-    } else if features.centroids.is_empty() {
-        (EmptyReason::NoCentroid, "no cluster of centroids; lower the focal centroid threshold")
-    } else {
-        return None;
+            "objects were seen but no contact is certain enough; look from nearer or from another side",
+        ),
+        Observation::Objects { .. } if features.centroids.is_empty() => {
+            (EmptyReason::NoCentroid, "no cluster of centroids; lower the focal centroid threshold")
+        }
+        Observation::Objects { .. } => return None,
     };
     Some(NoGrasp { reason, nearest_fix: nearest_fix.into() })
 }

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use crate::budget::Budget;
 use crate::contact_field::{ContactField, ContactFieldError};
 use crate::estimator::ContactEstimator;
-use crate::frame::{CleanOptions, Frame, FrameError, clean_depth};
+use crate::frame::{CleanOptions, Frame, FrameError, MAX_TRANSLATION_M, clean_depth};
 use crate::grid::{Grid, GridError};
 use crate::options::{SceneOptions, WorkspaceRequest};
 use crate::refine::{Features, refine};
@@ -254,11 +254,11 @@ fn validate(options: &SceneOptions) -> Result<(), SceneError> {
         let size = options.grid.size_m;
         let t = world_from_volume.translation.vector;
         let norm = world_from_volume.rotation.as_ref().norm();
-        if !t.iter().all(|v| v.is_finite()) || norm.is_nan() || (norm - 1.0).abs() > 1e-3 {
+        if !t.iter().all(|v| v.abs() <= MAX_TRANSLATION_M) || norm.is_nan() || (norm - 1.0).abs() > 1e-3 {
             return Err(SceneError::Workspace {
                 field: "world_from_volume",
                 found: format!("translation ({}, {}, {}), quaternion of length {norm}", t.x, t.y, t.z),
-                expected: "a finite translation and a unit quaternion".into(),
+                expected: "a translation within 1e6 m and a unit quaternion".into(),
             });
         }
         if let Some(table) = table_m

@@ -14,7 +14,7 @@ use crate::error::{Findings, Problems};
 use crate::files::URDF;
 use crate::solid::Solid;
 use crate::urdf::Model;
-use crate::{Hand, HandError, HandFiles, check, urdf};
+use crate::{HandError, HandFiles, check, urdf};
 
 /// A derived approach this close to an axis of the hand frame is taken to be that axis.
 const SNAP: f64 = 0.9;
@@ -22,7 +22,7 @@ const SNAP: f64 = 0.9;
 /// Derives the text of a `hand.toml` for a URDF.
 ///
 /// `meshes` holds the mesh files that the URDF names (other files are ignored). The proposal loads with
-/// [`Hand::load`] and passes [`check`].
+/// [`crate::Hand::load`] and passes [`check`].
 ///
 /// # Errors
 /// [`HandError::Invalid`] when the URDF cannot be read, when it has no finger, or when no sensible
@@ -55,7 +55,6 @@ pub fn propose(urdf: &str, meshes: &HandFiles) -> Result<String, HandError> {
 
     let mut files = meshes.clone();
     files.files.extend(HandFiles::new(urdf, toml.as_str()).files);
-    Hand::load("proposal", &files)?;
     let report = check("proposal", &files);
     if report.passed() { Ok(toml) } else { Err(HandError::Invalid(Problems(report.errors))) }
 }
@@ -115,7 +114,7 @@ fn solids(model: &Model, body: usize) -> Vec<(usize, &crate::CollisionShape, Sol
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::library;
+    use crate::{Hand, library};
 
     fn proposal(id: &str) -> Hand {
         let files = library::files(id).unwrap();
@@ -125,10 +124,14 @@ mod tests {
         Hand::load(id, &files).unwrap_or_else(|e| panic!("{id}: {e}\n{toml}"))
     }
 
+    /// Proposals are derived once: loading is the dear part.
+    static PROPOSALS: std::sync::LazyLock<std::collections::BTreeMap<&'static str, Hand>> =
+        std::sync::LazyLock::new(|| library::ids().iter().map(|&id| (id, proposal(id))).collect());
+
     #[test]
     fn every_library_hand_can_be_proposed_from_its_urdf() {
         for id in library::ids() {
-            let hand = proposal(id);
+            let hand = &PROPOSALS[id];
             let known = library::hand(id).unwrap();
             assert_eq!(hand.fingers.len(), known.fingers.len(), "{id}: fingers");
             let half = |h: &Hand, t: f64| {
@@ -136,7 +139,7 @@ mod tests {
                 crate::opening::pads_at(&h.tree, &h.pads, &h.actuation.joints(&u))
             };
             let spread = |t: f64| {
-                let at = half(&hand, t);
+                let at = half(hand, t);
                 at.iter().flat_map(|a| at.iter().map(|b| (a.0 - b.0).norm())).sum::<f64>()
             };
             assert!(spread(1.0) < spread(0.0), "{id}: closing brings the pads together");
@@ -145,14 +148,16 @@ mod tests {
 
     #[test]
     fn approach_and_opening_agree_with_the_library() {
-        for id in ["robotiq-2f85", "finray-2f", "model-o", "panda", "leap", "finray-4f", "robotiq-3f", "antipodal"] {
-            let (hand, known) = (proposal(id), library::hand(id).unwrap());
+        for id in
+            ["robotiq-2f85", "finray-2f", "model-o", "panda", "leap", "finray-4f", "robotiq-3f", "antipodal"]
+        {
+            let (hand, known) = (&PROPOSALS[id], library::hand(id).unwrap());
             let angle = hand.approach.angle(&known.approach).to_degrees();
             assert!(angle < 25.0, "{id}: the approach is off by {angle} degrees");
             let opening = hand.opening.unwrap_or_else(|| panic!("{id}: no opposed pads"));
             assert!(opening.min_m < 0.6 * opening.max_m, "{id}: {opening:?}");
         }
-        let close = |id: &str| proposal(id).opening.unwrap();
+        let close = |id: &str| PROPOSALS[id].opening.unwrap();
         for id in ["robotiq-2f85", "panda", "antipodal"] {
             let (found, known) = (close(id), library::hand(id).unwrap().opening.unwrap());
             assert!((found.max_m - known.max_m).abs() < 0.002, "{id}: {found:?}, known {known:?}");
@@ -161,8 +166,8 @@ mod tests {
 
     #[test]
     fn mimic_tags_are_kept_and_hopeless_urdfs_refused() {
-        assert_eq!(proposal("panda").actuation.coordinates.len(), 1);
-        assert_eq!(proposal("barrett").actuation.coordinates.len(), 4);
+        assert_eq!(PROPOSALS["panda"].actuation.coordinates.len(), 1);
+        assert_eq!(PROPOSALS["barrett"].actuation.coordinates.len(), 4);
         for urdf in ["", "<robot name=\"x\"/>", "<robot name=\"x\"><link name=\"a\"/></robot>"] {
             assert!(propose(urdf, &HandFiles::default()).is_err());
         }

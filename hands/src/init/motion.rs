@@ -92,34 +92,133 @@ fn tips(model: &Model, fingers: &[Chain], q: &[f64]) -> Vec<Point3<f64>> {
 pub(super) fn derive(model: &Model, fingers: &[Chain]) -> Motion {
     let ranges = ranges(model);
     let centre = centre(model, fingers, &ranges);
+    let rest: Vec<f64> = ranges.iter().map(|&(l, u)| if l < u { 0.0_f64.clamp(l, u) } else { l }).collect();
+    let first = classify(model, fingers, &ranges, &centre, &rest);
+    // A thumb at rest may lie aside: turn what does not close so that it opposes, then look again.
+    let held = hold(model, fingers, &ranges, &centre, &first);
+    let mut motion = classify(model, fingers, &ranges, &centre, &held);
+    let apart = |fraction: f64| {
+        let tips = tips(model, fingers, &motion.joints(&model.mimics, fraction));
+        let middle = super::middle(&tips);
+        tips.iter().map(|t| (t - middle).norm()).sum::<f64>()
+    };
+    // The first time that the tips part again: fingers that curl on come near each other once more.
+    let steps: Vec<f64> = (0..=60).map(|n| apart(f64::from(n) / 60.0)).collect();
+    let turn = (1..60).find(|&n| steps[n] < steps[0] - 1e-3 && steps[n + 1] > steps[n]).unwrap_or(60);
+    shorten(&mut motion, turn as f64 / 60.0);
+    motion
+}
+
+/// Roles and the widest motion about a resting posture.
+fn classify(
+    model: &Model,
+    fingers: &[Chain],
+    ranges: &[(f64, f64)],
+    centre: &Point3<f64>,
+    rest: &[f64],
+) -> Motion {
     let count = ranges.len();
-    let zero: Vec<f64> = ranges.iter().map(|&(l, u)| if l < u { 0.0_f64.clamp(l, u) } else { l }).collect();
-    let halfway: Vec<f64> = ranges.iter().map(|&(l, u)| l + 0.4 * (u - l)).collect();
-    let mut motion = Motion { roles: vec![Role::Follows; count], open: zero.clone(), closed: zero.clone() };
+    let mut motion = Motion { roles: vec![Role::Follows; count], open: rest.to_vec(), closed: rest.to_vec() };
+    // Part of the way along the ranges of what bends; the rest stays.
+    let mut cosines = vec![0.0; count];
     for j in (0..count).filter(|&j| model.mimics[j].is_none()) {
-        let cosine = 0.5 * (towards(model, fingers, &zero, j, &centre) + towards(model, fingers, &halfway, j, &centre));
-        if cosine.abs() < CLOSES {
+        let mut halfway = rest.to_vec();
+        halfway[j] = ranges[j].0 + 0.4 * (ranges[j].1 - ranges[j].0);
+        cosines[j] =
+            0.5 * (towards(model, fingers, rest, j, centre) + towards(model, fingers, &halfway, j, centre));
+    }
+    let bending = bending(model, fingers, rest, &cosines);
+    for j in (0..count).filter(|&j| model.mimics[j].is_none()) {
+        if cosines[j].abs() < CLOSES || !bending[j] {
             motion.roles[j] = Role::Spreads;
             continue;
         }
-        motion.roles[j] = Role::Closes(cosine.abs());
+        motion.roles[j] = Role::Closes(cosines[j].abs());
         let (lower, upper) = ranges[j];
-        let (from, to) = if cosine > 0.0 { (lower, upper) } else { (upper, lower) };
+        let (from, to) = if cosines[j] > 0.0 { (lower, upper) } else { (upper, lower) };
         // Fingers are straight at zero in most URDFs; beyond it they bend backwards.
         let inside = lower < 0.0 && upper > 0.0 && to.abs() > 0.5 * from.abs();
         let revolute = model.tree.joints[j].kind == JointKind::Revolute;
         motion.open[j] = if revolute && inside { 0.0 } else { from };
         motion.closed[j] = to;
     }
-    let apart = |fraction: f64| {
-        let tips = tips(model, fingers, &motion.joints(&model.mimics, fraction));
-        let middle = super::middle(&tips);
-        tips.iter().map(|t| (t - middle).norm()).sum::<f64>()
-    };
-    let steps = (1..=40).map(|n| f64::from(n) / 40.0);
-    let best = steps.min_by(|a, b| apart(*a).total_cmp(&apart(*b))).unwrap_or(1.0);
-    shorten(&mut motion, best);
     motion
+}
+
+/// Joints whose axes lie along the axis that most of their finger's closing is about; all prismatic ones.
+///
+/// A finger flexes about parallel axes and spreads about others.
+fn bending(model: &Model, fingers: &[Chain], rest: &[f64], cosines: &[f64]) -> Vec<bool> {
+    let tree = &model.tree;
+    let poses = tree.body_poses(&follow(&model.mimics, rest.to_vec()));
+    let mut out = vec![true; tree.joints.len()];
+    for finger in fingers {
+        let axes: Vec<(usize, Vector3<f64>)> = finger
+            .bodies
+            .iter()
+            .filter_map(|&b| tree.bodies[b].joint.map(|j| (j, poses[b] * tree.joints[j].axis.into_inner())))
+            .filter(|&(j, _)| tree.joints[j].kind == JointKind::Revolute)
+            .collect();
+        let parallel = |a: &Vector3<f64>, b: &Vector3<f64>| a.dot(b).abs() > 0.8;
+        let weight = |axis: &Vector3<f64>| -> f64 {
+            axes.iter().filter(|(_, a)| parallel(a, axis)).map(|&(j, _)| cosines[j].powi(2)).sum()
+        };
+        let main = axes.iter().max_by(|a, b| weight(&a.1).total_cmp(&weight(&b.1))).map(|a| a.1);
+        if let Some(main) = main {
+            for (j, axis) in &axes {
+                out[*j] = parallel(axis, &main);
+            }
+        }
+    }
+    out
+}
+
+/// Resting values: joints that do not close are turned to where closing brings their fingertip nearest to
+/// the centre, when that is clearly nearer than at rest.
+fn hold(
+    model: &Model,
+    fingers: &[Chain],
+    ranges: &[(f64, f64)],
+    centre: &Point3<f64>,
+    motion: &Motion,
+) -> Vec<f64> {
+    const CLEARLY_M: f64 = 0.02;
+    let mut held = motion.clone();
+    for finger in fingers {
+        let nearest = |motion: &Motion| {
+            let at = |n: u32| {
+                let q = motion.joints(&model.mimics, f64::from(n) / 8.0);
+                (model.tree.body_poses(&q)[finger.last()] * finger.tip - centre).norm()
+            };
+            (0..=8).map(at).fold(f64::INFINITY, f64::min)
+        };
+        for &body in &finger.bodies {
+            let Some(j) = model.tree.bodies[body].joint else { continue };
+            if motion.roles[j] != Role::Spreads {
+                continue;
+            }
+            let mut best = (nearest(&held) - CLEARLY_M, None);
+            for n in 0..=8 {
+                let value = ranges[j].0 + (ranges[j].1 - ranges[j].0) * f64::from(n) / 8.0;
+                let mut tried = held.clone();
+                (tried.open[j], tried.closed[j]) = (value, value);
+                let distance = nearest(&tried);
+                if distance < best.0 {
+                    best = (distance, Some(value));
+                }
+            }
+            if let Some(value) = best.1 {
+                (held.open[j], held.closed[j]) = (value, value);
+            }
+        }
+    }
+    let spreads = |j: usize| motion.roles[j] == Role::Spreads;
+    (0..ranges.len())
+        .map(|j| {
+            let rest = 0.0_f64.max(ranges[j].0).min(ranges[j].1);
+            if spreads(j) { held.open[j] } else { rest }
+        })
+        .collect()
 }
 
 /// Stops where opposed pads meet, if they meet before the end.
@@ -129,7 +228,8 @@ pub(super) fn stop_at_contact(model: &Model, motion: &mut Motion, pads: &[PadGue
         let fraction = f64::from(n) / f64::from(STEPS);
         let q = motion.joints(&model.mimics, fraction);
         let links = model.tree.link_poses(&model.tree.body_poses(&q));
-        let at: Vec<_> = pads.iter().map(|p| (links[p.link] * p.center, links[p.link].rotation * p.normal)).collect();
+        let at: Vec<_> =
+            pads.iter().map(|p| (links[p.link] * p.center, links[p.link].rotation * p.normal)).collect();
         let crossed = (0..at.len()).any(|i| {
             (i + 1..at.len()).any(|j| {
                 pads[i].finger != pads[j].finger && opening::gap(&at[i], &at[j]).is_some_and(|g| g < 0.0)

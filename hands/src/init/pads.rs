@@ -49,8 +49,7 @@ pub(super) fn find(model: &Model, fingers: &[Chain], motion: &Motion, palm: &Poi
         let solids = super::solids(model, body);
         let mut best: Option<(f64, PadGuess)> = None;
         let reach = solids.iter().map(|(_, _, s)| (now[body] * centre(s) - palm).dot(&outwards));
-        let (low, high) =
-            reach.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), r| (l.min(r), h.max(r)));
+        let (low, high) = reach.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), r| (l.min(r), h.max(r)));
         for (link, shape, solid) in &solids {
             let body_from_link = model.tree.links[*link].body_from_link;
             let body_from_shape = body_from_link * shape.link_from_shape;
@@ -77,7 +76,8 @@ pub(super) fn find(model: &Model, fingers: &[Chain], motion: &Motion, palm: &Poi
                 let score = cosine + 0.6 * distal.clamp(0.0, 1.0) + 0.3 * (area / 2e-4).min(1.0);
                 if best.as_ref().is_none_or(|(s, _)| score > *s) {
                     let pose: Isometry3<f64> = shape.link_from_shape;
-                    let edge = |e: Vector3<f64>| pose.rotation * e * (SHARE).min(MAX_HALF_M / e.norm().max(1e-9));
+                    let edge =
+                        |e: Vector3<f64>| pose.rotation * e * (SHARE).min(MAX_HALF_M / e.norm().max(1e-9));
                     let guess = PadGuess {
                         finger: index,
                         link: *link,
@@ -170,12 +170,7 @@ fn box_faces(low: &Point3<f64>, high: &Point3<f64>) -> Vec<Face> {
 }
 
 /// Moves a face of a mesh's box inwards until it meets the mesh; `None` when it never does.
-fn onto_surface(
-    face: Face,
-    solid: &Solid<'_>,
-    query_from_shape: &Isometry3<f64>,
-    size: f64,
-) -> Option<Face> {
+fn onto_surface(face: Face, solid: &Solid<'_>, query_from_shape: &Isometry3<f64>, size: f64) -> Option<Face> {
     let mut travelled = 0.0;
     while travelled < size {
         let center = face.center - face.normal * travelled;

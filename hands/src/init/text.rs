@@ -29,14 +29,19 @@ pub(super) fn write(
          approach = {}\n\
          start_offset_m = 0.05",
         quoted("My hand"),
-        if approach.snapped { ", snapped to an axis (sure within 25 degrees)" } else { " (GUESS: near no axis)" },
+        if approach.snapped {
+            ", snapped to an axis (sure within 25 degrees)"
+        } else {
+            " (GUESS: near no axis)"
+        },
         vector(&approach.direction),
     );
     let _ = writeln!(out, "\n# One finger for each chain of joints that ends in a solid part.");
     for finger in fingers {
         let _ = writeln!(out, "[[fingers]]\nname = {}\n", quoted(&finger.name));
     }
-    let _ = writeln!(out, "# One pad a finger: the face of its last part that looks along the closing motion.");
+    let _ =
+        writeln!(out, "# One pad a finger: the face of its last part that looks along the closing motion.");
     for pad in pads {
         let finger = &fingers[pad.finger].name;
         let sure = if pad.cosine > 0.85 { "likely" } else { "GUESS" };
@@ -68,8 +73,12 @@ fn actuators(model: &Model, motion: &Motion, out: &mut String) {
         let note = match motion.roles[j] {
             Role::Follows => continue,
             Role::Closes(cosine) if cosine > 0.7 => "likely: this way fingertips come together".to_owned(),
-            Role::Closes(cosine) => format!("GUESS: moves fingertips together only partly (cosine {cosine:.2})"),
-            Role::Spreads => "GUESS: moves fingertips aside, so it stays put while the hand closes".to_owned(),
+            Role::Closes(cosine) => {
+                format!("GUESS: moves fingertips together only partly (cosine {cosine:.2})")
+            }
+            Role::Spreads => {
+                "GUESS: moves fingertips aside, so it stays put while the hand closes".to_owned()
+            }
         };
         let followers: Vec<&str> = model
             .mimics

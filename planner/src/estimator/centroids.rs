@@ -8,7 +8,9 @@ use crate::grid::Grid;
 /// Peaks closer than this are one, metres.
 const PEAK_DISTANCE_M: f64 = 0.045;
 /// A peak with less than this share of the strongest is noise.
-const MIN_PEAK: f32 = 0.08;
+const MIN_SHARE: f32 = 0.02;
+/// A peak of fewer votes per voxel is noise: ripples of a seen table reach 0.1, scissors lying on it 0.2, a cup 1.
+const MIN_VOTES: f32 = 0.12;
 /// Share of its peak from which a voxel's score reaches 1: a plateau that makes a cluster of some tens of voxels.
 const PLATEAU: f32 = 0.8;
 
@@ -19,14 +21,15 @@ pub(super) fn normalized(grid: &Grid, votes: &[f32]) -> Vec<f32> {
     if strongest <= 0.0 {
         return score;
     }
-    let floor = strongest * MIN_PEAK * 0.5;
+    let least = (strongest * MIN_SHARE).max(MIN_VOTES);
+    let floor = 0.5 * least;
     let voted: Vec<u32> = (0..votes.len()).filter(|&i| votes[i] > floor).map(|i| i as u32).collect();
 
     // Local maxima, strongest first; ties in memory order.
     let mut maxima: Vec<u32> = voted
         .iter()
         .copied()
-        .filter(|&i| votes[i as usize] >= strongest * MIN_PEAK && is_maximum(grid, votes, i as usize))
+        .filter(|&i| votes[i as usize] >= least && is_maximum(grid, votes, i as usize))
         .collect();
     maxima.sort_by(|&a, &b| votes[b as usize].total_cmp(&votes[a as usize]).then(a.cmp(&b)));
     let radius = (PEAK_DISTANCE_M / grid.voxel_m()) as f32;

@@ -1,10 +1,8 @@
-//! The lens: projection, its distortion model, and the ray of each pixel.
+//! The lens: projection, its distortion model, and its inverse.
 //!
 //! Distortion is OpenCV's rational Brown-Conrady model: with normalized coordinates (x, y) and r² = x² + y²,
 //! `x' = x·(1 + k1 r² + k2 r⁴ + k3 r⁶)/(1 + k4 r² + k5 r⁴ + k6 r⁶) + 2 p1 x y + p2 (r² + 2x²)`, and y' likewise.
 //! Pixel (0, 0) has its centre at image coordinates (0, 0).
-
-use rayon::prelude::*;
 
 use super::Intrinsics;
 
@@ -111,45 +109,6 @@ impl Intrinsics {
     }
 }
 
-/// The rays of all pixels of one image, `[x/z, y/z]`.
-///
-/// Without distortion they are separable and cost nothing; with distortion a table is made once.
-#[derive(Debug, Clone)]
-pub struct Rays {
-    width: usize,
-    intrinsics: Intrinsics,
-    /// One entry per pixel for a distorted lens; NaN where the model has no ray.
-    table: Option<Vec<[f32; 2]>>,
-}
-
-impl Rays {
-    /// Rays for an image of `width * height` pixels.
-    pub fn new(intrinsics: &Intrinsics, width: usize, height: usize) -> Self {
-        let table = intrinsics.is_distorted().then(|| {
-            (0..width * height)
-                .into_par_iter()
-                .map(|i| {
-                    let ray = intrinsics.ray([(i % width) as f64, (i / width) as f64]);
-                    ray.map_or([f32::NAN; 2], |[x, y]| [x as f32, y as f32])
-                })
-                .collect()
-        });
-        Self { width, intrinsics: *intrinsics, table }
-    }
-
-    /// Ray of the pixel in this column and row; NaN where the lens model has none.
-    #[inline]
-    pub fn at(&self, column: usize, row: usize) -> [f64; 2] {
-        match &self.table {
-            Some(table) => table[row * self.width + column].map(f64::from),
-            None => [
-                (column as f64 - self.intrinsics.cx_px) / self.intrinsics.fx_px,
-                (row as f64 - self.intrinsics.cy_px) / self.intrinsics.fy_px,
-            ],
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -193,17 +152,6 @@ mod tests {
             let ray = lens.ray([u, v]).unwrap();
             let back = lens.project([ray[0], ray[1], 1.0]).unwrap();
             assert!((back[0] - u).hypot(back[1] - v) < 1e-3);
-        }
-    }
-
-    #[test]
-    fn table_agrees_with_the_lens() {
-        let bent = lens([-0.1, 0.02, 1e-3, -1e-3, 0.0, 0.0, 0.0, 0.0]);
-        for lens in [bent, lens([0.0; 8])] {
-            let rays = Rays::new(&lens, 64, 48);
-            let expected = lens.ray([13.0, 41.0]).unwrap();
-            let found = rays.at(13, 41);
-            assert!((expected[0] - found[0]).abs() < 1e-6 && (expected[1] - found[1]).abs() < 1e-6);
         }
     }
 }

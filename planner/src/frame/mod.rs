@@ -4,7 +4,6 @@ mod clean;
 mod lens;
 
 pub use clean::{CleanOptions, MAX_DEPTH_M, clean_depth};
-pub use lens::Rays;
 
 use nalgebra::Isometry3;
 
@@ -107,8 +106,8 @@ pub enum FrameError {
         /// Found value.
         found: f64,
     },
-    /// The pose has a value that is not a number, or a quaternion that is not of unit length.
-    #[error("world_from_camera: found {found}, expected a finite translation and a unit quaternion")]
+    /// The pose has a value that is not a number or out of range, or a quaternion that is not of unit length.
+    #[error("world_from_camera: found {found}, expected a translation within 1e6 m and a unit quaternion")]
     Pose {
         /// The offending part.
         found: String,
@@ -117,6 +116,9 @@ pub enum FrameError {
 
 /// Largest accepted image side, pixels.
 pub const MAX_SIDE_PX: usize = 16_384;
+
+/// Largest accepted coordinate of a pose, metres: beyond it the world frame leaves no precision for voxels.
+pub const MAX_TRANSLATION_M: f64 = 1e6;
 
 /// Names of the distortion coefficients in the order of [`Intrinsics::distortion`].
 const DISTORTION_NAMES: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
@@ -174,7 +176,7 @@ impl Frame {
         if let Some(pose) = &self.world_from_camera {
             let t = pose.translation.vector;
             let norm = pose.rotation.as_ref().norm();
-            if !t.iter().all(|v| v.is_finite()) {
+            if !t.iter().all(|v| v.abs() <= MAX_TRANSLATION_M) {
                 return Err(FrameError::Pose { found: format!("translation ({}, {}, {})", t.x, t.y, t.z) });
             }
             if norm.is_nan() || (norm - 1.0).abs() > 1e-3 {

@@ -3,14 +3,14 @@
 //! Wrenches are taken about the nearest centred centroid; torques are divided by a characteristic
 //! length, so that forces and torques compare.
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use super::Contacts;
 
 /// Lack of linear independence: `Σ_k relu(ε − λ_k)²` over the eigenvalues of `M = (1/N)·Σ G_i G_iᵀ`.
 ///
-/// `G_i` maps a unit force at candidate `i` to a wrench. A Cholesky factorization of `M − ε·1` proves in
-/// most iterations that every eigenvalue exceeds `ε`; only where it fails are eigenvalues computed.
+/// `G_i` maps a unit force at candidate `i` to a wrench. In most iterations every eigenvalue exceeds `ε`,
+/// which [`Moments::all_exceed`] proves with a 3×3 matrix; only where it cannot are eigenvalues computed.
 pub(crate) fn independence(
     contacts: &mut Contacts,
     center: &Vector3<f64>,
@@ -20,11 +20,11 @@ pub(crate) fn independence(
 ) -> f64 {
     let n = contacts.len();
     let share = 1.0 / n as f64;
-    let m = grasp_matrix(contacts, center, length);
-    if (m - Matrix6::identity() * floor).cholesky().is_some() {
+    let moments = Moments::new(contacts, center, length);
+    if moments.all_exceed(floor) {
         return 0.0;
     }
-    let eigen = m.symmetric_eigen();
+    let eigen = moments.grasp_matrix().symmetric_eigen();
     let mut sum = 0.0;
     for k in 0..6 {
         let lack = floor - eigen.eigenvalues[k];
@@ -45,27 +45,49 @@ pub(crate) fn independence(
     sum
 }
 
-/// `M = (1/N)·Σ G_i G_iᵀ`, from the first and second moments of the contact positions.
-fn grasp_matrix(contacts: &Contacts, center: &Vector3<f64>, length: f64) -> Matrix6<f64> {
-    let share = 1.0 / contacts.len() as f64;
-    let mut first = Vector3::zeros();
-    let mut second = nalgebra::Matrix3::zeros();
-    for p in &contacts.point {
-        let r = (p - center) / length;
-        first += r;
-        second += r * r.transpose();
+/// First and second moments of the contact positions about a centre, in characteristic lengths.
+struct Moments {
+    first: Vector3<f64>,
+    /// `Σ [r]×[r]×ᵀ = tr(S)·1 − S`.
+    rotational: Matrix3<f64>,
+}
+
+impl Moments {
+    fn new(contacts: &Contacts, center: &Vector3<f64>, length: f64) -> Self {
+        let share = 1.0 / contacts.len() as f64;
+        let inverse = 1.0 / length;
+        let mut first = Vector3::zeros();
+        let mut second = Matrix3::zeros();
+        for p in &contacts.point {
+            let r = (p - center) * inverse;
+            first += r;
+            second += r * r.transpose();
+        }
+        first *= share;
+        second *= share;
+        Self { first, rotational: Matrix3::from_diagonal_element(second.trace()) - second }
     }
-    first *= share;
-    second *= share;
-    let cross = first.cross_matrix();
-    // Σ [r]×[r]×ᵀ = tr(S)·1 − S.
-    let rotational = nalgebra::Matrix3::identity() * second.trace() - second;
-    let mut m = Matrix6::zeros();
-    m.fixed_view_mut::<3, 3>(0, 0).copy_from(&nalgebra::Matrix3::identity());
-    m.fixed_view_mut::<3, 3>(3, 0).copy_from(&cross);
-    m.fixed_view_mut::<3, 3>(0, 3).copy_from(&cross.transpose());
-    m.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotational);
-    m
+
+    /// `M`: the force block is the identity, the coupling the cross matrix of the first moment.
+    fn grasp_matrix(&self) -> Matrix6<f64> {
+        let cross = self.first.cross_matrix();
+        let mut m = Matrix6::zeros();
+        m.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+        m.fixed_view_mut::<3, 3>(3, 0).copy_from(&cross);
+        m.fixed_view_mut::<3, 3>(0, 3).copy_from(&cross.transpose());
+        m.fixed_view_mut::<3, 3>(3, 3).copy_from(&self.rotational);
+        m
+    }
+
+    /// True when every eigenvalue of `M` exceeds `floor` (below 1): the Schur complement of the force block
+    /// in `M − ε·1` is positive definite, by its leading minors.
+    fn all_exceed(&self, floor: f64) -> bool {
+        let c = &self.first;
+        let coupling = Matrix3::from_diagonal_element(c.norm_squared()) - c * c.transpose();
+        let s = self.rotational - Matrix3::from_diagonal_element(floor) - coupling / (1.0 - floor);
+        let minor = s.m11 * s.m22 - s.m12 * s.m21;
+        floor < 1.0 && s.m11 > 0.0 && minor > 0.0 && s.determinant() > 0.0
+    }
 }
 
 /// Net wrench `‖F‖² + ‖T/ℓ‖²` of contact forces along the pad normals.
@@ -100,4 +122,31 @@ pub(crate) fn net_wrench(contacts: &mut Contacts, center: &Vector3<f64>, length:
         contacts.point_gradient[i] += normal.cross(&torque) * (w / length);
     }
     force.norm_squared() + torque.norm_squared()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    use super::*;
+    use crate::random_hand::vector;
+
+    #[test]
+    fn the_short_cut_agrees_with_the_eigenvalues() {
+        let rng = &mut Xoshiro256PlusPlus::seed_from_u64(11);
+        let mut agreed = [0, 0];
+        for k in 0..400 {
+            let mut contacts = Contacts::new(6);
+            let flat = if k % 2 == 0 { 1.0 } else { 0.05 };
+            for p in &mut contacts.point {
+                *p = vector(rng, 0.03).component_mul(&Vector3::new(1.0, flat, flat));
+            }
+            let moments = Moments::new(&contacts, &vector(rng, 0.01), 0.05);
+            let exact = moments.grasp_matrix().symmetric_eigenvalues().min() > 0.05;
+            assert_eq!(moments.all_exceed(0.05), exact);
+            agreed[usize::from(exact)] += 1;
+        }
+        assert!(agreed[0] > 20 && agreed[1] > 20, "both answers occur: {agreed:?}");
+    }
 }

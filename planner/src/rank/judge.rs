@@ -140,9 +140,11 @@ impl Judge<'_> {
                     return None;
                 }
                 let candidate = &hand.candidates[i];
+                // Where the pad will press: the surface point nearest to the candidate.
+                let away = slope.try_normalize(1e-3).unwrap_or_else(|| -inward.into_inner());
                 let certainty = look.certainty();
                 Some(Touch {
-                    point: contacts.point[i],
+                    point: contacts.point[i] - away * gap,
                     inward,
                     pad: candidate.pad,
                     body: candidate.body,

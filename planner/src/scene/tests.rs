@@ -5,6 +5,7 @@ use crate::budget::{Stop, Unlimited};
 use crate::estimator::Geometric;
 use crate::frame::{DepthImage, Intrinsics};
 use nalgebra::UnitQuaternion;
+use proptest::prelude::*;
 
 /// An upright box on the table z = 0: centre, half extents in the plane, height.
 struct Block {
@@ -214,4 +215,38 @@ fn stops_when_asked() {
     assert_eq!(error, SceneError::Stopped(Stop::Deadline));
     let error = prepare(&[], &SceneOptions::default(), &Geometric, &Unlimited).unwrap_err();
     assert_eq!(error, SceneError::NoFrames);
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let frame = cast(tilted(), &blocks(), false);
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| run(std::slice::from_ref(&frame)))
+    };
+    let (one, three) = (on(1), on(3));
+    assert_eq!(one.contact_field, three.contact_field);
+    assert_eq!(one.features.focal_contacts, three.features.focal_contacts);
+    assert_eq!(one.features.centroids, three.features.centroids);
+    assert_eq!(one.features.cells.cells, three.features.cells.cells);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    #[test]
+    fn noise_and_garbage_make_a_scene_or_an_error(
+        seed in 0u32..1000, hole in 1usize..20, scale in prop_oneof![Just(0.0f32), 0.001f32..0.05, Just(f32::NAN)],
+    ) {
+        let mut frame = cast(tilted(), &blocks(), true);
+        let mut state = seed.wrapping_mul(747_796_405).wrapping_add(1);
+        for (i, d) in frame.image.depth_m.iter_mut().enumerate() {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let noise = (state >> 8) as f32 / 16_777_216.0 - 0.5;
+            *d = if i % hole == 1 { f32::NAN } else { *d + scale * noise };
+        }
+        let scene = run(&[frame]);
+        prop_assert!(scene.contact_field.certainty.iter().all(|c| (0.0..=1.0).contains(c)));
+        prop_assert!(scene.contact_field.centroid.iter().all(|c| (0.0..=1.0).contains(c)));
+        prop_assert!(scene.features.cells.cells.iter().all(|c| c.0.iter().all(|v| v.is_finite())));
+    }
 }

@@ -97,3 +97,6 @@ impl Volume {
         self.state.iter().filter(|&&s| s == state).count()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -15,7 +15,8 @@ pub const MIN_OBJECT_VOXELS: usize = 20;
 
 impl Volume {
     /// Solid voxels, memory order: observed surfaces, unseen voxels below an observed object surface in the same
-    /// column down to the table (or to the first voxel seen to be free), and everything below the table top.
+    /// column down to the table (or to the first voxel seen to be free), unseen gaps of one or two voxels
+    /// between such voxels along x or y, and everything below the table top.
     pub fn solid(&self) -> Vec<bool> {
         let n = self.grid.resolution;
         let floor = self.table_layer();
@@ -40,7 +41,34 @@ impl Volume {
                 }
             }
         });
-        solid
+        self.without_pits(&solid)
+    }
+
+    /// A surface with a hole of few pixels would leave a shaft down to the table in the middle of an object, with
+    /// walls that look like places to grasp. No finger fits there: unseen voxels that are narrowly enclosed on
+    /// opposite sides are filled.
+    fn without_pits(&self, solid: &[bool]) -> Vec<bool> {
+        let n = self.grid.resolution;
+        let mut filled = solid.to_vec();
+        let blank = vec![false; n];
+        let line = |x: Option<usize>, y: Option<usize>| match (x, y) {
+            (Some(x), Some(y)) if x < n && y < n => &solid[(x * n + y) * n..][..n],
+            _ => &blank[..],
+        };
+        filled.par_chunks_mut(n).zip(self.state.par_chunks(n)).enumerate().for_each(|(row, (out, state))| {
+            let (x, y) = (row / n, row % n);
+            // Distances to both sides of gaps of one and of two voxels.
+            for (a, b) in [(1, 1), (1, 2), (2, 1)] {
+                let along_x = (line(x.checked_sub(a), Some(y)), line(Some(x + b), Some(y)));
+                let along_y = (line(Some(x), y.checked_sub(a)), line(Some(x), Some(y + b)));
+                for (low, high) in [along_x, along_y] {
+                    for z in 0..n {
+                        out[z] |= state[z] == VoxelState::Unseen && low[z] && high[z];
+                    }
+                }
+            }
+        });
+        filled
     }
 
     /// The part of `solid` that belongs to objects: at least one voxel above the table top, in connected groups

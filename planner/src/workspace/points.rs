@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3};
 
-use crate::frame::{Frame, Rays};
+use crate::frame::Frame;
 
 /// About so many pixels are looked at.
 const SAMPLES: usize = 20_000;
@@ -33,19 +33,13 @@ pub fn frame_points(frame: &Frame, depth: &[f32]) -> FramePoints {
         return points;
     }
     let step = (((width * height) as f64 / SAMPLES as f64).sqrt().floor() as usize).max(1);
-    // Without a table of rays: only every step-th pixel is asked.
-    let distorted = frame.intrinsics.is_distorted();
-    let rays = (!distorted).then(|| Rays::new(&frame.intrinsics, width, height));
     for row in (step / 2..height).step_by(step) {
         for column in (step / 2..width).step_by(step) {
             let z = f64::from(depth[row * width + column]);
             if z <= 0.0 {
                 continue;
             }
-            let ray = match &rays {
-                Some(rays) => Some(rays.at(column, row)),
-                None => frame.intrinsics.ray([column as f64, row as f64]),
-            };
+            let ray = frame.intrinsics.ray([column as f64, row as f64]);
             if let Some([x, y]) = ray {
                 points.camera.push(Point3::new(x * z, y * z, z));
                 let share = |at: usize, count: usize| (2.0 * (at as f64 + 0.5) / count as f64 - 1.0).abs();

@@ -1,0 +1,278 @@
+//! Planning from a frame to ranked grasps: what every caller relies on, on a synthetic clutter.
+
+mod clutter;
+
+use std::collections::BTreeSet;
+use std::f64::consts::PI;
+use std::sync::LazyLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use clutter::{look_at, ten_objects};
+use graspd_hands::library;
+use graspd_planner::budget::{Budget, Stop, Unlimited};
+use graspd_planner::estimator::Geometric;
+use graspd_planner::grasp::{EmptyReason, Plan, RejectReason};
+use graspd_planner::options::{
+    KeepOut, OrientationLimits, PlanOptions, Reaching, SceneOptions, Scheme, Target,
+};
+use graspd_planner::plan::plan;
+use graspd_planner::scene::{Scene, prepare};
+use nalgebra::{Isometry3, Point3, Unit, Vector3};
+
+fn scene_of(objects: &[clutter::Object]) -> Scene {
+    prepare(&[look_at(objects)], &SceneOptions::default(), &Geometric, &Unlimited).expect("a valid frame")
+}
+
+static CLUTTER: LazyLock<Scene> = LazyLock::new(|| scene_of(&ten_objects()));
+
+fn quick() -> PlanOptions {
+    PlanOptions { scheme: Scheme::BALANCED, ..PlanOptions::default() }
+}
+
+fn plan_with(hand: &str, options: &PlanOptions) -> Plan {
+    plan(&CLUTTER, library::hand(hand).expect("a library hand"), options, &Unlimited, None)
+}
+
+#[test]
+fn every_library_hand_gets_grasps_that_add_up() {
+    for &id in library::ids() {
+        let hand = library::hand(id).expect("a library hand");
+        let options = PlanOptions::default();
+        let result = plan_with(id, &options);
+        assert!(!result.grasps.is_empty(), "{id}: {:?} {:?}", result.no_grasp, result.stats.rejected);
+        assert!(result.no_grasp.is_none());
+        let rejected: usize = result.stats.rejected.values().sum();
+        assert_eq!(rejected + result.grasps.len(), options.batch, "{id}: every candidate is accounted for");
+        let mut last = f64::INFINITY;
+        for grasp in &result.grasps {
+            assert!((0.0..=1.0).contains(&grasp.score) && grasp.score <= last, "{id}: sorted scores in 0..1");
+            last = grasp.score;
+            assert!(grasp.epsilon > 0.0);
+            let fingers: BTreeSet<usize> = grasp.contacts.iter().map(|c| c.finger).collect();
+            assert!(fingers.len() >= 2, "{id}: at least two fingers touch");
+            for posture in [&grasp.joints.open, &grasp.joints.contact, &grasp.joints.squeezed] {
+                for (q, joint) in posture.iter().zip(&hand.tree.joints) {
+                    assert!(
+                        *q >= joint.lower - 1e-9 && *q <= joint.upper + 1e-9,
+                        "{id}: {} at {q}",
+                        joint.name
+                    );
+                }
+            }
+            assert_eq!(grasp.actuators.contact.len(), hand.actuation.actuator_count());
+            let back =
+                grasp.world_from_hand.translation.vector - grasp.world_from_pregrasp.translation.vector;
+            let approach = grasp.world_from_hand.rotation * hand.approach.into_inner();
+            assert!(
+                (back - approach * options.pregrasp_offset_m).norm() < 1e-9,
+                "{id}: pre-grasp is straight back"
+            );
+        }
+    }
+}
+
+#[test]
+fn contacts_lie_on_objects_and_not_on_the_table() {
+    for id in ["robotiq-2f85", "robotiq-3f", "leap"] {
+        for contact in plan_with(id, &PlanOptions::default()).grasps.iter().flat_map(|g| g.contacts.clone()) {
+            assert!(contact.point.z > 0.003, "{id}: contact at {:?}", contact.point);
+            let nearest = ten_objects()
+                .iter()
+                .map(|([x, y], r, _)| (contact.point.xy() - nalgebra::Point2::new(*x, *y)).norm() - r)
+                .fold(f64::INFINITY, f64::min);
+            assert!(nearest < 0.02, "{id}: a contact {nearest:.3} m beside every object");
+        }
+    }
+}
+
+#[test]
+fn one_seed_gives_one_answer_on_any_number_of_threads() {
+    let options = PlanOptions { seed: 42, ..quick() };
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| plan_with("robotiq-3f", &options))
+    };
+    let one = on(1);
+    for threads in [2, 3, 7] {
+        let many = on(threads);
+        assert_eq!(one.grasps, many.grasps, "{threads} threads");
+        assert_eq!(one.stats.rejected, many.stats.rejected);
+    }
+    let other = plan_with("robotiq-3f", &PlanOptions { seed: 43, ..quick() });
+    assert_ne!(one.grasps, other.grasps, "another seed, another answer");
+}
+
+/// Stops after being asked a number of times.
+struct Asked {
+    left: AtomicUsize,
+    stop: Stop,
+}
+
+impl Budget for Asked {
+    fn elapsed(&self) -> Duration {
+        Duration::ZERO
+    }
+
+    fn stop(&self) -> Option<Stop> {
+        let left = self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |n| n.checked_sub(1));
+        left.is_err().then_some(self.stop)
+    }
+}
+
+#[test]
+fn a_deadline_returns_the_best_so_far_and_a_cancellation_stops_within_an_iteration() {
+    let hand = library::hand("robotiq-2f85").expect("a library hand");
+    let options = PlanOptions::default();
+    let iterations_of_half = options.batch * options.scheme.iterations / 2;
+    let budget = Asked { left: AtomicUsize::new(iterations_of_half), stop: Stop::Deadline };
+    let half = plan(&CLUTTER, hand, &options, &budget, None);
+    assert_eq!(half.stats.stopped, Some(Stop::Deadline));
+    assert!(half.stats.iterations < options.scheme.iterations);
+    assert!(!half.grasps.is_empty(), "half the iterations give grasps too: {:?}", half.stats.rejected);
+
+    let budget = Asked { left: AtomicUsize::new(100), stop: Stop::Cancelled };
+    let cancelled = plan(&CLUTTER, hand, &options, &budget, None);
+    assert_eq!(cancelled.stats.stopped, Some(Stop::Cancelled));
+    assert!(cancelled.grasps.is_empty());
+
+    let budget = Asked { left: AtomicUsize::new(0), stop: Stop::Deadline };
+    let none = plan(&CLUTTER, hand, &options, &budget, None);
+    assert_eq!(none.no_grasp.map(|n| n.reason), Some(EmptyReason::OutOfTime));
+    assert_eq!(none.stats.rejected.get(&RejectReason::Unfinished), Some(&options.batch));
+}
+
+#[test]
+fn better_sets_arrive_before_the_end_and_never_get_worse() {
+    let hand = library::hand("robotiq-2f85").expect("a library hand");
+    let mut scores = Vec::new();
+    let mut report = |p: &Plan| scores.push(p.grasps[0].score);
+    let last = plan(&CLUTTER, hand, &PlanOptions::default(), &Unlimited, Some(&mut report));
+    assert!(!scores.is_empty());
+    assert!(scores.windows(2).all(|w| w[0] < w[1]), "{scores:?}");
+    let without = plan(&CLUTTER, hand, &PlanOptions::default(), &Unlimited, None);
+    assert_eq!(last.grasps, without.grasps, "watching does not change the answer");
+}
+
+#[test]
+fn limits_on_orientation_hold_for_every_grasp() {
+    let down = CLUTTER.workspace.world_from_volume * -Vector3::z();
+    for (cone, roll) in [(0.0, None), (0.2, None), (0.3, Some((0.2, 0.6)))] {
+        let orientation = OrientationLimits { cone_rad: cone, roll_rad: roll };
+        for id in ["robotiq-2f85", "model-o"] {
+            let hand = library::hand(id).expect("a library hand");
+            let result = plan_with(id, &PlanOptions { orientation, ..PlanOptions::default() });
+            assert!(!result.grasps.is_empty(), "{id} {cone} {roll:?}: {:?}", result.stats.rejected);
+            for grasp in &result.grasps {
+                let approach = grasp.world_from_hand.rotation * hand.approach.into_inner();
+                assert!(approach.angle(&down) <= cone + 1e-6, "{id}: {}", approach.angle(&down));
+                let Some((low, high)) = roll else { continue };
+                let lateral = grasp.world_from_hand.rotation * Vector3::x();
+                let flat = (lateral - down * lateral.dot(&down)).normalize();
+                let zero = (Vector3::x() - down * down.x).normalize();
+                let angle = zero.cross(&flat).dot(&down).atan2(zero.dot(&flat));
+                assert!((low - 1e-6..=high + 1e-6).contains(&angle), "{id}: roll {angle}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_reaching_direction_is_followed() {
+    let along = Unit::new_normalize(Vector3::new(0.0, 1.0, -1.0));
+    let options = PlanOptions {
+        reaching: Reaching::Direction(along),
+        orientation: OrientationLimits { cone_rad: PI / 8.0, roll_rad: None },
+        ..PlanOptions::default()
+    };
+    let hand = library::hand("finray-2f").expect("a library hand");
+    let result = plan_with("finray-2f", &options);
+    assert!(!result.grasps.is_empty(), "{:?}", result.stats.rejected);
+    for grasp in result.grasps {
+        let approach = grasp.world_from_hand.rotation * hand.approach.into_inner();
+        assert!(approach.angle(&along) <= PI / 8.0 + 1e-6);
+    }
+}
+
+#[test]
+fn keep_out_boxes_stay_empty() {
+    let half = Vector3::new(0.3, 0.3, 0.3);
+    let keep_out = KeepOut { world_from_box: Isometry3::translation(0.3, 0.0, 0.0), half_extents_m: half };
+    let hand = library::hand("robotiq-2f85").expect("a library hand");
+    let result =
+        plan_with("robotiq-2f85", &PlanOptions { keep_out: vec![keep_out], ..PlanOptions::default() });
+    assert!(!result.grasps.is_empty(), "{:?}", result.stats.rejected);
+    for grasp in &result.grasps {
+        let bodies = hand.tree.body_poses(&grasp.joints.contact);
+        for sphere in &hand.spheres {
+            let center = grasp.world_from_hand * bodies[sphere.body] * sphere.center;
+            assert!(center.x + sphere.radius <= 1e-6, "a part of the hand at x = {}", center.x);
+        }
+    }
+}
+
+#[test]
+fn a_target_point_is_what_is_grasped() {
+    let ([x, y], r, _) = ten_objects()[5];
+    let point = Point3::new(x, y, r);
+    let options =
+        PlanOptions { target: Some(Target::Point { point, radius_m: 0.04 }), ..PlanOptions::default() };
+    let result = plan_with("robotiq-2f85", &options);
+    assert!(!result.grasps.is_empty(), "{:?} {:?}", result.no_grasp, result.stats.rejected);
+    for grasp in result.grasps {
+        assert!((grasp.centroid - point).norm() < 0.045);
+    }
+    let nowhere = Some(Target::Point { point: Point3::new(0.5, 0.5, 0.5), radius_m: 0.02 });
+    let none = plan_with("robotiq-2f85", &PlanOptions { target: nowhere, ..PlanOptions::default() });
+    assert_eq!(none.no_grasp.map(|n| n.reason), Some(EmptyReason::TargetNotFound));
+}
+
+#[test]
+fn an_empty_table_is_an_answer() {
+    let scene = scene_of(&[]);
+    let hand = library::hand("leap").expect("a library hand");
+    let result = plan(&scene, hand, &quick(), &Unlimited, None);
+    assert!(result.grasps.is_empty());
+    assert_eq!(result.no_grasp.map(|n| n.reason), Some(EmptyReason::EmptyTable));
+}
+
+#[test]
+fn an_object_wider_than_the_hand_opens_is_named_with_its_figures() {
+    let scene = scene_of(&[([0.0, 0.0], 0.075, false)]);
+    let hand = library::hand("robotiq-2f85").expect("a library hand");
+    let result = plan(&scene, hand, &quick(), &Unlimited, None);
+    assert!(result.grasps.is_empty(), "{:?}", result.grasps.first().map(|g| g.jaw_width_m));
+    let no_grasp = result.no_grasp.expect("a reason");
+    assert_eq!(no_grasp.reason, EmptyReason::HandTooSmall, "{}", no_grasp.nearest_fix);
+    assert!(
+        no_grasp.nearest_fix.starts_with("widest opening 0.085 m, narrowest contact pair 0.1"),
+        "{}",
+        no_grasp.nearest_fix
+    );
+}
+
+#[test]
+fn odd_options_do_not_panic() {
+    let hand = library::hand("robotiq-2f85").expect("a library hand");
+    let options = [
+        PlanOptions { batch: 0, ..quick() },
+        PlanOptions { scheme: Scheme { iterations: 0, with_penetration: 0 }, ..quick() },
+        PlanOptions { scheme: Scheme { iterations: 5, with_penetration: 50 }, ..quick() },
+        PlanOptions { max_grasps: 0, ..quick() },
+        PlanOptions { pregrasp_offset_m: 0.0, ..quick() },
+        PlanOptions { opening_fraction: 0.0, friction: 0.0, ..quick() },
+    ];
+    for o in options {
+        let result = plan(&CLUTTER, hand, &o, &Unlimited, None);
+        assert_eq!(result.grasps.is_empty(), result.no_grasp.is_some(), "{o:?}");
+    }
+}
+
+#[test]
+fn a_trace_has_one_entry_per_iteration_and_goes_down() {
+    let options =
+        PlanOptions { trace: true, scheme: Scheme { iterations: 120, with_penetration: 0 }, ..quick() };
+    let trace = plan_with("leap", &options).trace;
+    assert_eq!(trace.len(), 120);
+    assert!(trace[119].total < trace[0].total);
+}
