@@ -34,6 +34,9 @@ pub(crate) struct Engine {
 /// A hand's answer.
 pub(crate) type Answer = Result<v1::PlanGraspsResponse, ServiceError>;
 
+/// Gets each better answer, on a planning thread.
+pub(crate) type OnBetter = Box<dyn FnMut(v1::PlanGraspsResponse) + Send>;
+
 /// A scene that is being prepared or is ready, and what is known of the call.
 #[derive(Clone)]
 pub(crate) struct Call {
@@ -61,6 +64,7 @@ impl Task {
 /// A scene and how long it took.
 pub(crate) struct ReadScene {
     scene: Scene,
+    /// Stages before those that the scene itself has timed.
     stages: Vec<(&'static str, Duration)>,
     invalid_pixels: usize,
     queued: Duration,
@@ -84,7 +88,7 @@ impl Engine {
         &self,
         call: &Call,
         task: &Task,
-        on_better: impl FnMut(v1::PlanGraspsResponse) + Send + 'static,
+        on_better: Option<OnBetter>,
     ) -> Result<Ticket<Answer>, ServiceError> {
         let (job_call, job_task) = (call.clone(), task.clone());
         let budget = call.budget.within(task.job.budget);
@@ -123,7 +127,7 @@ impl Engine {
         let budget = call.budget.within(task.job.budget);
         let job_budget = budget.clone();
         let ticket = self.pool.submit_continuation(&budget, move |queued| {
-            job_call.plan(&job_read, queued, &job_task, &job_budget, |_| {})
+            job_call.plan(&job_read, queued, &job_task, &job_budget, None)
         });
         ticket.map_err(|e| call.pool_error(&e))
     }
@@ -210,10 +214,9 @@ impl Call {
             }
             frames.push(frame);
         }
-        let mut stages = vec![("decode", began.elapsed())];
+        let stages = vec![("decode", began.elapsed())];
         let scene = scene::prepare(&frames, &self.scene.options, self.estimator.as_ref(), budget)
             .map_err(|error| self.scene_error(&error))?;
-        stages.extend(scene.stages.iter().copied());
         Ok(ReadScene { scene, stages, invalid_pixels, queued })
     }
 
@@ -237,7 +240,7 @@ impl Call {
         queued: Duration,
         task: &Task,
         budget: &CallBudget,
-        mut on_better: impl FnMut(v1::PlanGraspsResponse),
+        on_better: Option<OnBetter>,
     ) -> Answer {
         let context = |elapsed| PlanContext {
             stages: &read.stages,
@@ -247,12 +250,16 @@ impl Call {
             ..self.context(task)
         };
         let workspace = &read.scene.workspace;
+        let context = &context;
+        let mut tell = on_better.map(|mut on_better| {
+            move |better: &Plan| on_better(plan_response(better, workspace, &context(self.elapsed())))
+        });
         let plan = graspd_planner::plan::plan(
             &read.scene,
             &task.hand,
             &task.job.options,
             budget,
-            &mut |better: &Plan| on_better(plan_response(better, workspace, &context(self.elapsed()))),
+            tell.as_mut().map(|tell| tell as &mut dyn FnMut(&Plan)),
         );
         match plan.stats.stopped {
             Some(Stop::Cancelled) => Err(ServiceError::Cancelled),

@@ -242,7 +242,12 @@ impl Pool {
         let run: Run = Box::new(move |rayon| {
             let queued = arrived.elapsed();
             let result = catch_unwind(AssertUnwindSafe(|| rayon.install(|| job(queued))));
-            answer(result.map_err(|_| PoolError::Panicked));
+            answer(result.map_err(|panic| {
+                let said = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+                let said = said.or_else(|| panic.downcast_ref::<String>().cloned());
+                tracing::error!(panic = said.unwrap_or_default(), "planning job panicked");
+                PoolError::Panicked
+            }));
         });
 
         let mut dead = Vec::new();

@@ -29,7 +29,7 @@ pub(crate) struct PlanContext<'a> {
     pub(crate) estimator: &'a str,
     /// The seed.
     pub(crate) seed: u64,
-    /// Stages before planning: decode and those of the scene.
+    /// Stages before those that the plan has timed: decode.
     pub(crate) stages: &'a [(&'static str, Duration)],
     /// Depth pixels that could not be distances.
     pub(crate) invalid_pixels: usize,

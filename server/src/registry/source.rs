@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
-use graspd_hands::{Hand, HandError, HandFiles, library};
+use graspd_hands::{Hand, HandError, HandFiles, library, propose};
+
+const URDF: &str = "hand.urdf";
+const TOML: &str = "hand.toml";
 
 /// A hand that was read from files.
 #[derive(Debug)]
@@ -19,6 +22,13 @@ pub(super) fn library() -> impl Iterator<Item = Arc<Hand>> {
 }
 
 /// Reads a hand; a missing `hand.toml` is proposed. Takes milliseconds: not for a thread of the runtime.
-pub(crate) fn load_files(id: &str, files: HandFiles) -> Result<Loaded, HandError> {
-    Ok(Loaded { hand: Hand::load(id, &files)?, proposed_toml: None })
+pub(crate) fn load_files(id: &str, mut files: HandFiles) -> Result<Loaded, HandError> {
+    let mut proposed_toml = None;
+    if let (Some(urdf), false) = (files.files.get(URDF), files.files.contains_key(TOML)) {
+        // Bytes that are not UTF-8 reach the reader as replacement characters, which it refuses by place.
+        let toml = propose(&String::from_utf8_lossy(urdf), &files)?;
+        files.files.insert(TOML.to_owned(), toml.clone().into_bytes());
+        proposed_toml = Some(toml);
+    }
+    Ok(Loaded { hand: Hand::load(id, &files)?, proposed_toml })
 }

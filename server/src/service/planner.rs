@@ -15,7 +15,7 @@ use tonic::{Request, Response, Status};
 use super::clock;
 use crate::convert::{self, count_message, duration_message};
 use crate::deadline::CancelOnDrop;
-use crate::engine::{Answer, Call, Engine, Task};
+use crate::engine::{Answer, Call, Engine, OnBetter, Task};
 use crate::error::{FieldError, ServiceError};
 use crate::pool::Ticket;
 use crate::status;
@@ -43,7 +43,7 @@ impl PlannerService for PlannerApi {
         let task = self.engine.task(job)?;
         let call = self.engine.call(clock, scene)?;
         let _cancel = call.budget.cancel_on_drop();
-        let ticket = self.engine.submit_single(&call, &task, |_| {})?;
+        let ticket = self.engine.submit_single(&call, &task, None)?;
         Ok(Response::new(self.engine.answer(&call, &task, ticket).await?))
     }
 
@@ -61,10 +61,11 @@ impl PlannerService for PlannerApi {
         let call = self.engine.call(clock, scene)?;
         let cancel = call.budget.cancel_on_drop();
         let (better, improved) = watch::channel(None);
-        let ticket = self.engine.submit_single(&call, &task, move |response| {
+        let on_better: OnBetter = Box::new(move |response| {
             // Nobody may be listening any more; the budget tells the planner so.
             better.send(Some(response)).ok();
-        })?;
+        });
+        let ticket = self.engine.submit_single(&call, &task, Some(on_better))?;
         let (sender, receiver) = mpsc::channel(4);
         let stream = GraspStream { engine: Arc::clone(&self.engine), call, task, sender, _cancel: cancel };
         tokio::spawn(stream.run(ticket, improved));

@@ -2,11 +2,11 @@
 
 use std::time::{Duration, Instant};
 
-use graspd_client::{Code, GraspEvent, PlanMultiHandRequest, PlanOptions, RetryPolicy};
+use graspd_client::{Code, GraspEvent, PlanGraspsRequest, PlanMultiHandRequest, PlanOptions, RetryPolicy};
 use graspd_proto::v1;
 use graspd_server::ServerConfig;
 use graspd_server::pool::PoolConfig;
-use graspd_tests::{BoxScene, STALLS, TestServer};
+use graspd_tests::{STALLS, TestServer};
 
 use crate::{GRIPPER, call_error, request, request_with};
 
@@ -123,28 +123,54 @@ async fn a_full_queue_refuses_at_once_and_a_patient_client_gets_through() {
     assert_eq!(answer.stats.unwrap().hand, format!("hands/{GRIPPER}"));
 }
 
+/// More iterations than any of these tests waits for.
+fn endless() -> PlanGraspsRequest {
+    let options = PlanOptions {
+        batch_size: 256,
+        scheme: Some(v1::Scheme { iteration_count: 10_000, penetration_iteration_count: 10_000 }),
+        seed: 1,
+        ..PlanOptions::default()
+    };
+    PlanGraspsRequest { options: Some(options), ..request(GRIPPER) }
+}
+
 #[tokio::test]
 async fn a_short_budget_gives_the_best_so_far() {
     let server = TestServer::start().await;
     let client = server.client().await;
-    let plan = |budget: Option<&str>| {
-        let options = PlanOptions {
-            batch_size: 256,
-            scheme: Some(v1::Scheme { iteration_count: 2000, penetration_iteration_count: 2000 }),
-            budget: budget.map(|b| b.parse().unwrap()),
-            ..PlanOptions::default()
-        };
-        v1::PlanGraspsRequest {
-            frames: vec![BoxScene::default().frame()],
-            options: Some(options),
-            ..request("leap")
-        }
-    };
+    let mut plan = endless();
+    plan.options.as_mut().unwrap().budget = Some("2.5s".parse().unwrap());
     let began = Instant::now();
-    let answer = client.plan_grasps(&plan(Some("2s"))).await.unwrap();
+    let answer = client.plan_grasps(&plan).await.unwrap();
     let took = began.elapsed();
     let stats = answer.stats.unwrap();
     assert!(stats.budget_exhausted);
-    assert!(stats.iteration_count > 0 && stats.iteration_count < 2000, "{}", stats.iteration_count);
+    assert!(stats.iteration_count > 0 && stats.iteration_count < 10_000, "{}", stats.iteration_count);
+    assert!(!answer.grasps.is_empty(), "{:?} {:?}", answer.no_grasp, stats.rejected_counts);
     assert!(took < Duration::from_secs(4), "{took:?}");
+}
+
+#[tokio::test]
+async fn a_deadline_gives_the_best_so_far_in_time() {
+    let server = TestServer::start().await;
+    let deadline = Duration::from_secs(3);
+    let client = server.client().await.with_timeout(deadline);
+    let began = Instant::now();
+    let answer = client.plan_grasps(&endless()).await.unwrap();
+    assert!(began.elapsed() < deadline, "{:?}", began.elapsed());
+    assert!(answer.stats.unwrap().budget_exhausted);
+    assert!(!answer.grasps.is_empty());
+}
+
+#[tokio::test]
+async fn dropping_a_call_in_the_middle_of_an_optimization_frees_its_cores() {
+    let server = TestServer::start().await;
+    let client = server.client().await;
+    let unary = tokio::spawn(async move { client.plan_grasps(&endless()).await });
+    server.busy().await;
+    tokio::time::sleep(Duration::from_millis(1500)).await;
+    assert!(server.load.running() == 1 && !unary.is_finished());
+    unary.abort();
+    let took = server.idle_within(SOON).await;
+    println!("idle {took:?} after the call was dropped");
 }

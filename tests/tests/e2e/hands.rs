@@ -78,6 +78,27 @@ async fn a_hand_is_checked_created_used_and_deleted() {
     assert_eq!((protected.code, protected.reason.as_str()), (Code::FailedPrecondition, "HAND_PROTECTED"));
 }
 
+#[tokio::test]
+async fn a_missing_description_is_proposed_and_can_be_used() {
+    let server = TestServer::start().await;
+    let client = server.client().await;
+    let mut files = library_files(GRIPPER);
+    let written = files.remove("hand.toml").unwrap();
+    let created = client.create_hand("proposed", &files, false).await.unwrap();
+    let toml = created.proposed_hand_toml.unwrap();
+    assert!(toml.contains("approach") && toml.as_bytes() != written, "{toml}");
+    assert!(!created.hand.pads.is_empty() && !created.hand.actuators.is_empty());
+    files.insert("hand.toml".to_owned(), toml.into_bytes());
+    let again = client.create_hand("proposed-again", &files, false).await.unwrap();
+    assert_eq!(again.proposed_hand_toml, None);
+    assert_eq!(again.hand.revision, created.hand.revision);
+    let mut broken = library_files(GRIPPER);
+    broken.remove("hand.toml");
+    broken.insert("hand.urdf".to_owned(), vec![0xff, 0xfe, b'<']);
+    let error = call_error(client.create_hand("broken", &broken, false).await);
+    assert_eq!((error.code, error.reason.as_str()), (Code::InvalidArgument, "INVALID_HAND"));
+}
+
 /// Creates a hand from a URDF, with the gripper's description.
 async fn refused(client: &Client, urdf: &str) -> graspd_client::CallError {
     let mut files = library_files(GRIPPER);
@@ -124,7 +145,6 @@ async fn hostile_files_are_refused_by_name_and_nothing_is_added() {
         ("a cycle", cycle),
         ("a mesh outside", mesh("../../../etc/passwd")),
         ("an absolute mesh", mesh("/etc/passwd")),
-        ("a mesh that is not there", mesh("meshes/none.stl")),
         ("half a file", "<robot name=\"r\"><link name=\"a\">".to_owned()),
         ("nothing", String::new()),
         ("deep nesting", format!("<robot name=\"r\">{}", "<a>".repeat(100_000))),
@@ -143,6 +163,9 @@ async fn hostile_files_are_refused_by_name_and_nothing_is_added() {
         );
         assert!(!error.message.contains("root:"), "{name}: {}", error.message);
     }
+
+    let error = refused(&client, &mesh("meshes/none.stl")).await;
+    assert_eq!(error.violations[0].field, "files[\"meshes/none.stl\"]");
 
     let mut outside = library_files(GRIPPER);
     outside.insert("../hand.urdf".to_owned(), b"x".to_vec());
