@@ -96,7 +96,8 @@ pub(crate) fn run(args: &PlanArgs) -> anyhow::Result<()> {
         let view = ViewScene::new(scene, input.observed().frame());
         let shown = views(&hands, &outcomes);
         if let Some(path) = &args.page {
-            let about = format!("{} hands, planned in {}", shown.len(), input.name());
+            let hands = if shown.len() == 1 { "1 hand".to_owned() } else { format!("{} hands", shown.len()) };
+            let about = format!("{hands}, planned by graspd {}", env!("CARGO_PKG_VERSION"));
             write_file(
                 path,
                 page::render(&format!("Grasps from {}", input.name()), &about, &view, &shown).as_bytes(),
@@ -183,10 +184,12 @@ impl Input {
         }
     }
 
-    fn name(&self) -> &str {
-        match self {
+    /// The file's name without its folder, for titles.
+    fn name(&self) -> String {
+        let path = match self {
             Self::Files(files) => &files.depth.file,
             Self::Field { name, .. } => name,
-        }
+        };
+        Path::new(path).file_name().map_or_else(|| path.clone(), |name| name.to_string_lossy().into_owned())
     }
 }

@@ -108,7 +108,7 @@ impl RawDepth {
     /// The image in metres; integers are multiplied by `depth_scale`.
     pub(crate) fn in_metres(&self, depth_scale: f64) -> DepthImage {
         let depth_m = match &self.values {
-            DepthValues::U16(values) => values.iter().map(|&d| (f64::from(d) * depth_scale) as f32).collect(),
+            DepthValues::U16(values) => values.iter().map(|&d| f32::from(d) * depth_scale as f32).collect(),
             DepthValues::Metres(values) => values.clone(),
         };
         DepthImage { width: self.width, height: self.height, depth_m }

@@ -76,7 +76,7 @@ fn first_view(scene: &ViewScene) -> Value {
     let out = scene.world_from_camera.translation.vector - scene.middle().coords;
     let out = if out.norm() > 1e-6 { out.normalize() } else { up };
     let azimuth = out.dot(&b).atan2(out.dot(&a));
-    json!({ "azimuth": short(azimuth + 0.35), "elevation": short(out.dot(&up).asin().clamp(0.3, 0.75)) })
+    json!({ "azimuth": short(azimuth + 0.35), "elevation": short(out.dot(&up).asin().clamp(0.3, 0.62)) })
 }
 
 fn surface(surface: &Surface, scene: &ViewScene) -> Value {
