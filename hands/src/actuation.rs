@@ -109,3 +109,39 @@ impl Actuation {
         self.coordinates.iter().map(|c| c.closed).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use crate::library;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        /// The gradient carried back is the transpose: it agrees with differences of the map itself.
+        #[test]
+        fn pull_back_is_the_transpose(which in any::<prop::sample::Index>(), seed in prop::collection::vec(-1.0..1.0_f64, 64)) {
+            let actuation = &library::hand(library::ids()[which.index(library::ids().len())]).unwrap().actuation;
+            let (n, m) = (actuation.coordinates.len(), actuation.rows.len());
+            let (u, du, g) = (&seed[..n], &seed[20..20 + n], &seed[40..40 + m]);
+            let moved: Vec<f64> = u.iter().zip(du).map(|(a, b)| a + b).collect();
+            let (before, after) = (actuation.joints(u), actuation.joints(&moved));
+            let forward: f64 = g.iter().zip(after.iter().zip(&before)).map(|(g, (a, b))| g * (a - b)).sum();
+            let mut back = vec![0.0; n];
+            actuation.pull_back(g, &mut back);
+            let backward: f64 = back.iter().zip(du).map(|(a, b)| a * b).sum();
+            prop_assert!((forward - backward).abs() < 1e-9);
+        }
+
+        /// Inside the coordinates' limits every joint keeps its own.
+        #[test]
+        fn coordinate_limits_keep_joint_limits(which in any::<prop::sample::Index>(), at in prop::collection::vec(0.0..=1.0_f64, 16)) {
+            let hand = library::hand(library::ids()[which.index(library::ids().len())]).unwrap();
+            let u: Vec<f64> = hand.actuation.coordinates.iter().zip(&at).map(|(c, t)| c.lower + t * (c.upper - c.lower)).collect();
+            for (q, joint) in hand.actuation.joints(&u).iter().zip(&hand.tree.joints) {
+                prop_assert!(*q >= joint.lower - 1e-4 && *q <= joint.upper + 1e-4, "{} of {}", joint.name, hand.id);
+            }
+        }
+    }
+}

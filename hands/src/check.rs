@@ -27,7 +27,7 @@ pub struct Report {
     pub errors: Vec<Problem>,
     /// Things worth a look.
     pub warnings: Vec<Problem>,
-    /// What the hand is, a few lines of text; empty when it does not load.
+    /// What the hand is (its `Display`), a few lines of text; empty when it does not load.
     pub summary: String,
 }
 
@@ -66,7 +66,7 @@ pub fn check(id: &str, files: &HandFiles) -> Report {
         buried(&hand, &mut findings);
         closing(&hand, &mut findings);
         open_posture(&hand, &mut findings);
-        text = summary(&hand);
+        text = hand.to_string();
     }
     Report { errors: findings.errors, warnings: findings.warnings, summary: text }
 }
@@ -207,40 +207,6 @@ fn open_posture(hand: &Hand, findings: &mut Findings) {
             "an open hand that does not touch itself (such pairs are left out of self-collision)",
         );
     }
-}
-
-fn summary(hand: &Hand) -> String {
-    use std::fmt::Write as _;
-    let mut out = String::new();
-    let mut line = |text: fmt::Arguments<'_>| {
-        // Writing to a String cannot fail.
-        let _ = writeln!(out, "{text}");
-    };
-    let adaptive = hand.actuation.coordinates.len() - hand.actuation.actuator_count();
-    line(format_args!("{} ({}), revision {}", hand.display_name, hand.id, hand.revision));
-    line(format_args!(
-        "{} fingers, {} joints, {} actuators, {adaptive} adaptive joints",
-        hand.fingers.len(),
-        hand.tree.joints.len(),
-        hand.actuation.actuator_count(),
-    ));
-    line(format_args!("{} pads, {} contact candidates", hand.pads.len(), hand.candidates.len()));
-    line(format_args!(
-        "{} collision shapes covered by {} spheres, {} pairs for self-collision",
-        hand.collision.len(),
-        hand.spheres.len(),
-        hand.self_pairs.len(),
-    ));
-    match hand.opening {
-        Some(o) => line(format_args!("opens from {:.1} to {:.1} mm", o.min_m * 1e3, o.max_m * 1e3)),
-        None => line(format_args!("no opposed pads")),
-    }
-    let (a, t) = (hand.approach, hand.tool_point);
-    line(format_args!(
-        "hand frame {:?}: approach ({:.3}, {:.3}, {:.3}), tool point ({:.4}, {:.4}, {:.4}) m",
-        hand.tree.links[0].name, a.x, a.y, a.z, t.x, t.y, t.z
-    ));
-    out
 }
 
 #[cfg(test)]

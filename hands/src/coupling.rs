@@ -1,6 +1,6 @@
 //! From actuators, adaptive joints and mimic tags to the map `q = A·u + b`.
 
-use crate::description::{Description, Driven};
+use crate::description::{ActuatorEntry, Description, Driven};
 use crate::error::Findings;
 use crate::files::TOML;
 use crate::urdf::Model;
@@ -45,7 +45,7 @@ pub(crate) fn build(description: &Description, model: &Model, findings: &mut Fin
             upper: f64::INFINITY,
             open: actuator.open,
             closed: actuator.closed,
-            effort: if actuator.effort.is_finite() { actuator.effort.max(0.0) } else { 0.0 },
+            effort: effort(actuator, model),
         });
     }
     for adaptive in &description.adaptive {
@@ -96,6 +96,16 @@ pub(crate) fn build(description: &Description, model: &Model, findings: &mut Fin
     limits(model, &complete, &mut coordinates, &given, findings);
     let couplings = soft(description, model, findings);
     (findings.errors.len() == before).then_some(Actuation { coordinates, rows: complete, couplings })
+}
+
+/// The actuator's effort; left out, the smallest that the URDF names for the joints it moves, else 0.
+fn effort(actuator: &ActuatorEntry, model: &Model) -> f64 {
+    if actuator.effort.is_finite() && actuator.effort > 0.0 {
+        return actuator.effort;
+    }
+    let named = actuator.joints.iter().filter_map(|d| model.tree.joint(&d.joint));
+    let efforts = named.map(|j| model.tree.joints[j].effort).filter(|&e| e > 0.0);
+    efforts.reduce(f64::min).unwrap_or(0.0)
 }
 
 fn find(model: &Model, joint: &str, field: &str, findings: &mut Findings) -> Option<usize> {

@@ -1,5 +1,7 @@
 //! A validated hand: all that the planner, the server and the drawings need to know.
 
+use std::fmt;
+
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
 use crate::{Actuation, CollisionShape, CollisionSphere, ContactCandidate, Pad, Tree};
@@ -76,5 +78,44 @@ impl Hand {
             .iter()
             .map(|c| (body_poses[c.body] * c.point, body_poses[c.body].rotation * c.normal))
             .collect()
+    }
+}
+
+/// A few lines for people: what the hand is, how it is driven, how far it opens, which frame it uses.
+impl fmt::Display for Hand {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let actuators = self.actuation.actuator_count();
+        writeln!(f, "{} ({}), revision {}", self.display_name, self.id, self.revision)?;
+        writeln!(
+            f,
+            "{} fingers, {} joints, {actuators} actuators, {} adaptive joints",
+            self.fingers.len(),
+            self.tree.joints.len(),
+            self.actuation.coordinates.len() - actuators,
+        )?;
+        writeln!(f, "{} pads, {} contact candidates", self.pads.len(), self.candidates.len())?;
+        writeln!(
+            f,
+            "{} collision shapes covered by {} spheres, {} pairs for self-collision",
+            self.collision.len(),
+            self.spheres.len(),
+            self.self_pairs.len(),
+        )?;
+        match self.opening {
+            Some(o) => writeln!(f, "opens from {:.1} to {:.1} mm", o.min_m * 1e3, o.max_m * 1e3)?,
+            None => writeln!(f, "no opposed pads")?,
+        }
+        let (a, t) = (self.approach, self.tool_point);
+        writeln!(
+            f,
+            "hand frame {:?}: approach ({:.3}, {:.3}, {:.3}), tool point ({:.4}, {:.4}, {:.4}) m",
+            self.tree.links.first().map_or("", |l| l.name.as_str()),
+            a.x,
+            a.y,
+            a.z,
+            t.x,
+            t.y,
+            t.z
+        )
     }
 }

@@ -18,6 +18,7 @@ mod pad;
 // How files become a hand.
 mod coupling;
 mod description;
+mod geometry;
 mod load;
 mod mesh;
 mod pads;

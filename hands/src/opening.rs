@@ -24,22 +24,34 @@ pub(crate) fn pads_at(tree: &Tree, pads: &[Pad], q: &[f64]) -> Vec<(Point3<f64>,
 /// when no two pads face each other.
 ///
 /// The gap is measured along the direction in which the two pads face each other, and counts from open
-/// until the pads meet.
+/// until the pads meet. Pads that have faced each other and then curl on (wrapping fingers) still come
+/// closer: for the smallest gap the distance of their centres counts from there on.
 pub(crate) fn opening(tree: &Tree, actuation: &Actuation, pads: &[Pad]) -> Option<Opening> {
+    /// What two pads have done so far.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Pair {
+        Apart,
+        Facing,
+        Met,
+    }
     let mut range: Option<(f64, f64)> = None;
-    let mut met = vec![false; pads.len() * pads.len()];
+    let mut pairs = vec![Pair::Apart; pads.len() * pads.len()];
     for step in 0..=STEPS {
         let u = along(actuation, step as f64 / STEPS as f64);
         let at = pads_at(tree, pads, &actuation.joints(&u));
         for i in 0..pads.len() {
             for j in i + 1..pads.len() {
-                if pads[i].finger == pads[j].finger || met[i * pads.len() + j] {
+                let pair = &mut pairs[i * pads.len() + j];
+                if pads[i].finger == pads[j].finger || *pair == Pair::Met {
                     continue;
                 }
-                let Some(gap) = gap(&at[i], &at[j]) else { continue };
-                met[i * pads.len() + j] = gap <= 0.0;
                 let (low, high) = range.unwrap_or((f64::INFINITY, 0.0));
-                range = Some((low.min(gap.max(0.0)), high.max(gap)));
+                if let Some(gap) = gap(&at[i], &at[j]) {
+                    *pair = if gap > 0.0 { Pair::Facing } else { Pair::Met };
+                    range = Some((low.min(gap.max(0.0)), high.max(gap)));
+                } else if *pair == Pair::Facing {
+                    range = Some((low.min((at[j].0 - at[i].0).norm()), high));
+                }
             }
         }
     }

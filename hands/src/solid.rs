@@ -88,13 +88,17 @@ impl<'a> Solid<'a> {
     pub(crate) fn grid(&self, spacing: f64, most: usize) -> Vec<Point3<f64>> {
         let (low, high) = self.local_bounds();
         let size = high - low;
-        // Coarser for large shapes: `most` bounds the work.
-        let spacing = spacing.max((size.product().abs() / most as f64).cbrt());
-        let steps = |axis: usize| {
-            let n = (size[axis] / spacing).ceil().clamp(1.0, 200.0) as usize;
+        let steps = |axis: usize, spacing: f64| {
+            let n = (size[axis] / spacing).ceil().clamp(1.0, 1000.0) as usize;
             if n.is_multiple_of(2) { n + 1 } else { n }
         };
-        let n = [steps(0), steps(1), steps(2)];
+        let grid = |spacing: f64| [steps(0, spacing), steps(1, spacing), steps(2, spacing)];
+        // Coarser for large shapes: `most` bounds the work.
+        let mut spacing = spacing;
+        while grid(spacing).iter().product::<usize>() > most.max(1) && spacing < 10.0 {
+            spacing *= 1.1;
+        }
+        let n = grid(spacing);
         let mut out = Vec::with_capacity(n.iter().product());
         for x in 0..n[0] {
             for y in 0..n[1] {

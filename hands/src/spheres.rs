@@ -9,7 +9,7 @@
 use nalgebra::{Isometry3, Point3};
 
 use crate::error::Findings;
-use crate::files::URDF;
+use crate::files::{TOML, URDF};
 use crate::solid::Solid;
 use crate::{CollisionShape, CollisionSphere, Pad, Tree};
 
@@ -18,10 +18,16 @@ pub(crate) const PAD_CLEARANCE_M: f64 = 0.0005;
 /// Sharp edges count as rounded with this many tolerances as their radius: no real part has them, and
 /// covering them would take most of the spheres.
 const ROUNDING: f64 = 2.0;
-/// Most samples to cover on one link.
-const MOST_SAMPLES: f64 = 3000.0;
-/// Most candidate centres of one shape.
-const MOST_CENTRES: usize = 1200;
+/// Samples of one link's surface, about.
+const SURFACE_SAMPLES: f64 = 3000.0;
+/// Most samples of a link, however its shapes are cut up.
+const MOST_SAMPLES: usize = 10_000;
+/// Candidate centres inside one shape, at most.
+const MOST_CENTRES: usize = 2000;
+/// Hands of more shapes than this are sampled more coarsely: the work for a hand is bounded.
+const USUAL_SHAPES: usize = 60;
+/// Most spheres of a hand.
+const MOST_SPHERES: usize = 1000;
 
 /// Covers all shapes of a hand, link by link.
 pub(crate) fn cover(
@@ -31,7 +37,8 @@ pub(crate) fn cover(
     tolerance: f64,
     findings: &mut Findings,
 ) -> Vec<CollisionSphere> {
-    let mut out = Vec::new();
+    let mut out: Vec<CollisionSphere> = Vec::new();
+    let most_centres = MOST_CENTRES * USUAL_SHAPES / shapes.len().max(USUAL_SHAPES);
     for (index, link) in tree.links.iter().enumerate() {
         let mut solids = Vec::new();
         for shape in shapes.iter().filter(|s| s.link == index) {
@@ -51,13 +58,18 @@ pub(crate) fn cover(
             .filter(|p| tree.links[p.link].body == link.body)
             .map(|p| Wall::new(p, &tree.links[p.link].body_from_link))
             .collect();
-        let spheres = cover_solids(&solids, &walls, tolerance);
-        out.extend(spheres.into_iter().map(|(center, radius)| CollisionSphere {
-            body: link.body,
-            link: index,
-            center,
-            radius,
-        }));
+        for (center, radius) in cover_solids(&solids, &walls, tolerance, most_centres) {
+            out.push(CollisionSphere { body: link.body, link: index, center, radius });
+        }
+        if out.len() > MOST_SPHERES {
+            findings.error(
+                TOML,
+                "collision.tolerance_m",
+                format!("{tolerance}, for which the hand needs more than {MOST_SPHERES} spheres"),
+                "a larger tolerance, or fewer and simpler shapes",
+            );
+            break;
+        }
     }
     out
 }
@@ -98,28 +110,35 @@ fn scale(solids: &[Solid<'_>]) -> f64 {
 const FINE_M: f64 = 0.03;
 
 /// Spheres (centre, radius) that cover the union of solids.
-fn cover_solids(solids: &[Solid<'_>], walls: &[Wall], tolerance: f64) -> Vec<(Point3<f64>, f64)> {
+fn cover_solids(
+    solids: &[Solid<'_>],
+    walls: &[Wall],
+    tolerance: f64,
+    most_centres: usize,
+) -> Vec<(Point3<f64>, f64)> {
     if solids.is_empty() {
         return Vec::new();
     }
     let depth = |p: &Point3<f64>| solids.iter().map(|s| s.depth(p)).fold(f64::NEG_INFINITY, f64::max);
     let tolerance = tolerance * scale(solids);
     let area: f64 = solids.iter().map(Solid::area).sum();
-    let spacing = (0.5 * tolerance).max((area / MOST_SAMPLES).sqrt());
+    let spacing = (0.5 * tolerance).max((area / SURFACE_SAMPLES).sqrt());
     // Between samples the surface is up to about half a cell farther away than at them.
     let reach = (tolerance - 0.4 * spacing).max(0.5 * tolerance);
 
     let mut samples = Vec::new();
     let mut centres = Vec::new();
     for solid in solids {
-        let surface = solid.surface(spacing);
+        let mut surface = solid.surface(spacing);
+        let stride = surface.len().div_ceil(MOST_SAMPLES / solids.len()).max(1);
+        surface = surface.into_iter().step_by(stride).collect();
         // Samples inside another shape of the link are not surface of the union.
         samples.extend(surface.iter().filter(|p| depth(p) < 0.5 * spacing));
-        let grid = solid.grid(0.75 * tolerance, MOST_CENTRES);
+        let grid = solid.grid(0.75 * tolerance, (2 * most_centres / solids.len()).min(most_centres).max(20));
         samples.extend(&grid);
         centres.extend(grid);
         // A sphere about a surface sample always covers that sample: a cover always exists.
-        let stride = surface.len() / 300 + 1;
+        let stride = surface.len() * solids.len() / 600 + 1;
         centres.extend(surface.into_iter().step_by(stride));
     }
     let candidates: Vec<(Point3<f64>, f64)> = centres
@@ -290,7 +309,7 @@ mod tests {
             let solid = Solid::new(pose, &shape).unwrap();
             let (low, high) = solid.local_bounds();
             let solids = [solid];
-            let spheres = cover_solids(&solids, &[], tolerance);
+            let spheres = cover_solids(&solids, &[], tolerance, MOST_CENTRES);
             let scaled = tolerance * scale(&solids);
             prop_assert!(!spheres.is_empty());
             for (center, radius) in &spheres {
@@ -323,7 +342,7 @@ mod tests {
         let half_extents = Vector3::new(0.02, 0.012, 0.03);
         let (mesh, exact) = (box_mesh(half_extents), Shape::Box { half_extents });
         let count = |shape: &Shape| {
-            cover_solids(&[Solid::new(Isometry3::identity(), shape).unwrap()], &[], 0.004).len()
+            cover_solids(&[Solid::new(Isometry3::identity(), shape).unwrap()], &[], 0.004, MOST_CENTRES).len()
         };
         assert!(count(&mesh).abs_diff(count(&exact)) <= 4, "{} and {}", count(&mesh), count(&exact));
     }

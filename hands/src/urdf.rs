@@ -9,16 +9,14 @@ use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::error::Findings;
 use crate::files::URDF;
-use crate::{Body, CollisionShape, HandFiles, Joint, JointKind, Link, Shape, Tree, mesh, xml_guard};
+use crate::{Body, CollisionShape, HandFiles, Joint, JointKind, Link, Tree, geometry, xml_guard};
 
 /// Most links of a hand.
 pub(crate) const MAX_LINKS: usize = 128;
 /// No length of a hand is larger than this, metres.
 pub(crate) const MAX_LENGTH_M: f64 = 2.0;
-/// Most shapes of one link.
-const MAX_SHAPES: usize = 64;
-/// Most triangles of all meshes together.
-const MAX_TRIANGLES: usize = 400_000;
+/// Most shapes of the hand.
+const MAX_ALL_SHAPES: usize = 512;
 
 /// A joint that follows another: `q = multiplier·q[joint] + offset`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,7 +80,15 @@ pub(crate) fn read(bytes: &[u8], files: &HandFiles, findings: &mut Findings) -> 
     }
     let (tree, joint_index) = tree(&robot, &order?, &joint_motions, &origins);
     let mimics = mimics(&robot, &joints, &joint_index, &tree, findings);
-    let (collision, visuals) = shapes(&robot, &tree, files, findings);
+    let (collision, visuals) = geometry::read(&robot, &tree, files, findings);
+    if collision.len() > MAX_ALL_SHAPES || visuals.len() > 2 * MAX_ALL_SHAPES {
+        findings.error(
+            URDF,
+            "links",
+            format!("{} collision and {} visual shapes", collision.len(), visuals.len()),
+            format!("at most {MAX_ALL_SHAPES} collision shapes and twice as many visual ones"),
+        );
+    }
     findings.ok().then_some(Model { tree, mimics, collision, visuals })
 }
 
@@ -228,7 +234,7 @@ fn joint(joint: &urdf_rs::Joint, findings: &mut Findings) -> Option<Joint> {
 }
 
 /// A pose with bounded numbers; identity after an error.
-fn pose(pose: &urdf_rs::Pose, field: &str, findings: &mut Findings) -> Isometry3<f64> {
+pub(crate) fn pose(pose: &urdf_rs::Pose, field: &str, findings: &mut Findings) -> Isometry3<f64> {
     let (xyz, rpy) = (pose.xyz.0, pose.rpy.0);
     if !xyz.iter().all(|v| v.is_finite() && v.abs() <= MAX_LENGTH_M) {
         findings.error(URDF, format!("{field} xyz"), format!("{xyz:?}"), "finite metres within ±2");
@@ -332,125 +338,4 @@ fn mimics(
         }
     }
     out
-}
-
-/// Collision and visual shapes of all links, in the order of the tree's links.
-fn shapes(
-    robot: &urdf_rs::Robot,
-    tree: &Tree,
-    files: &HandFiles,
-    findings: &mut Findings,
-) -> (Vec<CollisionShape>, Vec<CollisionShape>) {
-    let mut budget = MAX_TRIANGLES;
-    let (mut collision, mut visuals) = (Vec::new(), Vec::new());
-    for (index, link) in tree.links.iter().enumerate() {
-        let Some(source) = robot.links.iter().find(|l| l.name == link.name) else { continue };
-        if source.collision.len() > MAX_SHAPES || source.visual.len() > MAX_SHAPES {
-            findings.error(
-                URDF,
-                format!("link {:?}", link.name),
-                format!("{} collision and {} visual elements", source.collision.len(), source.visual.len()),
-                format!("at most {MAX_SHAPES} of each"),
-            );
-            continue;
-        }
-        let mut own_visuals = Vec::new();
-        for (i, visual) in source.visual.iter().enumerate() {
-            let field = format!("link {:?} visual {i}", link.name);
-            // A drawing that cannot be loaded is no reason to refuse a hand, except where it reaches outside.
-            let mut aside = Findings::default();
-            own_visuals.extend(shape(
-                index,
-                &visual.origin,
-                &visual.geometry,
-                &field,
-                files,
-                &mut budget,
-                &mut aside,
-            ));
-            let fatal = matches!(&visual.geometry, urdf_rs::Geometry::Mesh { filename, .. } if mesh::path(filename).is_err());
-            for problem in aside.errors {
-                if fatal { findings.errors.push(problem) } else { findings.warnings.push(problem) }
-            }
-            findings.warnings.extend(aside.warnings);
-        }
-        let mut own = Vec::new();
-        for (i, item) in source.collision.iter().enumerate() {
-            let field = format!("link {:?} collision {i}", link.name);
-            own.extend(shape(index, &item.origin, &item.geometry, &field, files, &mut budget, findings));
-        }
-        if source.collision.is_empty() && !own_visuals.is_empty() {
-            findings.warn(
-                URDF,
-                format!("link {:?} collision", link.name),
-                "none",
-                "a collision element (the visual shapes are used)",
-            );
-            own.clone_from(&own_visuals);
-        }
-        visuals.extend(if own_visuals.is_empty() { own.clone() } else { own_visuals });
-        collision.extend(own);
-    }
-    (collision, visuals)
-}
-
-/// The shapes of one geometry element: one, or three for a capsule, or none after an error.
-fn shape(
-    link: usize,
-    origin: &urdf_rs::Pose,
-    geometry: &urdf_rs::Geometry,
-    field: &str,
-    files: &HandFiles,
-    budget: &mut usize,
-    findings: &mut Findings,
-) -> Vec<CollisionShape> {
-    use urdf_rs::Geometry;
-    let before = findings.errors.len();
-    let link_from_shape = pose(origin, &format!("{field} origin"), findings);
-    let mut size = |what: &str, value: f64| {
-        if !(value > 0.0 && value <= MAX_LENGTH_M) {
-            findings.error(URDF, format!("{field} {what}"), value, "more than 0 and at most 2 metres");
-        }
-        value
-    };
-    let at = |z: f64, shape: Shape| CollisionShape {
-        link,
-        link_from_shape: link_from_shape * Translation3::new(0.0, 0.0, z),
-        shape,
-    };
-    let shapes = match geometry {
-        Geometry::Box { size: edges } => {
-            let half_extents = Vector3::from(edges.0.map(|e| size("box size", e))) / 2.0;
-            vec![at(0.0, Shape::Box { half_extents })]
-        }
-        Geometry::Cylinder { radius, length } => {
-            let (radius, half_length) = (size("radius", *radius), size("length", *length) / 2.0);
-            vec![at(0.0, Shape::Cylinder { radius, half_length })]
-        }
-        Geometry::Capsule { radius, length } => {
-            let (radius, half_length) = (size("radius", *radius), size("length", *length) / 2.0);
-            vec![
-                at(0.0, Shape::Cylinder { radius, half_length }),
-                at(half_length, Shape::Sphere { radius }),
-                at(-half_length, Shape::Sphere { radius }),
-            ]
-        }
-        Geometry::Sphere { radius } => vec![at(0.0, Shape::Sphere { radius: size("radius", *radius) })],
-        Geometry::Mesh { filename, scale } => {
-            let scale = scale.map_or([1.0; 3], |s| s.0);
-            match mesh::load(files, filename, scale, budget) {
-                Ok(shape) => vec![at(0.0, shape)],
-                Err((file, found, expected)) => {
-                    findings.error(
-                        &file.unwrap_or_else(|| URDF.to_owned()),
-                        format!("{field} mesh"),
-                        found,
-                        expected,
-                    );
-                    Vec::new()
-                }
-            }
-        }
-    };
-    if findings.errors.len() > before { Vec::new() } else { shapes }
 }

@@ -1,6 +1,6 @@
 //! Hostile input: whatever the bytes, loading ends with a hand or an error, never with a panic.
 
-use graspd_hands::{Hand, HandError, HandFiles, check, library};
+use graspd_hands::{Hand, HandError, HandFiles, check, library, propose};
 use proptest::prelude::*;
 
 const URDF: &str = "hand.urdf";
@@ -151,6 +151,44 @@ fn survives_deep_nesting() {
     assert!(Hand::load("x", &files).is_err());
 }
 
+/// A chain of links, each with boxes and a joint.
+fn chain(links: usize, boxes: usize, size: &str) -> HandFiles {
+    let mut urdf = String::from("<robot name=\"x\">");
+    let mut actuators = String::new();
+    for l in 0..links {
+        urdf += &format!("<link name=\"l{l}\">");
+        urdf += &format!("<collision><geometry><box size=\"{size}\"/></geometry></collision>").repeat(boxes);
+        urdf += "</link>";
+        if l > 0 {
+            urdf += &format!(
+                "<joint name=\"j{l}\" type=\"revolute\"><parent link=\"l{}\"/><child link=\"l{l}\"/>\
+                 <origin xyz=\"0.01 0 0\"/><axis xyz=\"0 0 1\"/><limit lower=\"0\" upper=\"1\" effort=\"1\" velocity=\"1\"/></joint>",
+                l - 1
+            );
+            actuators += &format!(
+                "[[actuators]]\nname = \"a{l}\"\njoints = [{{ joint = \"j{l}\" }}]\nopen = 0.0\nclosed = 1.0\n"
+            );
+        }
+    }
+    let toml = format!(
+        "display_name = \"x\"\napproach = [0.0, 0.0, 1.0]\n[[fingers]]\nname = \"f\"\n\
+         [[pads]]\nname = \"p\"\nfinger = \"f\"\nlink = \"l1\"\ncenter = [0.0, 0.0, 0.0]\n\
+         half_u = [0.01, 0.0, 0.0]\nhalf_v = [0.0, 0.01, 0.0]\nnormal = [0.0, 0.0, 1.0]\n{actuators}"
+    );
+    HandFiles::new(urdf + "</robot>", toml)
+}
+
+#[test]
+fn bounds_the_work_for_a_hand() {
+    assert!(refused(&chain(60, 60, "0.02 0.02 0.02")).contains("collision"));
+    assert!(refused(&chain(200, 1, "0.02 0.02 0.02")).contains("links"));
+    // Thin plates two metres wide would need thousands of spheres.
+    assert!(refused(&chain(8, 2, "2 2 0.001")).contains("spheres"));
+    // Within the bounds a large hand loads.
+    let hand = Hand::load("x", &chain(40, 8, "0.02 0.02 0.02")).unwrap_or_else(|e| panic!("{e}"));
+    assert!(hand.self_pairs.len() <= 256);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
 
@@ -209,6 +247,24 @@ proptest! {
             for c in &hand.actuation.coordinates {
                 prop_assert!(c.lower <= c.open && c.open <= c.upper && c.lower <= c.closed && c.closed <= c.upper);
             }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Proposing a description for a damaged URDF ends with a proposal or an error.
+    #[test]
+    fn proposals_for_mutated_urdfs_never_panic(edits in prop::collection::vec((any::<prop::sample::Index>(), b'0'..=b'9'), 1..5)) {
+        let mut bytes = panda().files[URDF].clone();
+        let digits: Vec<usize> = (0..bytes.len()).filter(|&i| bytes[i].is_ascii_digit()).collect();
+        for (at, digit) in edits {
+            bytes[digits[at.index(digits.len())]] = digit;
+        }
+        let urdf = String::from_utf8_lossy(&bytes).into_owned();
+        if let Ok(toml) = propose(&urdf, &HandFiles::default()) {
+            prop_assert!(Hand::load("x", &HandFiles::new(urdf, toml)).is_ok());
         }
     }
 }

@@ -31,6 +31,9 @@ pub struct Scene {
     pub view_direction: Unit<Vector3<f64>>,
     /// What stands in the workspace.
     pub observation: Observation,
+    /// Connected group of object voxels that each voxel belongs to, counted from 1, 0 for none; see
+    /// [`Volume::object_groups`].
+    pub objects: Vec<u16>,
     /// Durations of the stages so far, in order: `frame`, `volume`, `estimate`, `refine`.
     pub stages: Vec<(&'static str, Duration)>,
 }
@@ -146,7 +149,7 @@ pub fn prepare(
         volume.integrate(frame, depth, &(world_from_camera.inverse() * workspace.world_from_volume));
     }
     let solid = volume.solid();
-    let objects = volume.objects(&solid);
+    let objects = volume.object_groups(&solid);
     let observation = observe(&volume, &objects);
     stages.end("volume")?;
 
@@ -167,6 +170,7 @@ pub fn prepare(
         world_from_camera,
         view_direction,
         observation,
+        objects,
         stages: stages.done,
     })
 }
@@ -199,7 +203,7 @@ pub fn from_contact_field(
     };
     let workspace = Workspace { world_from_volume: Isometry3::identity(), grid, table_m };
     let volume = Volume::from_solid(grid, table_m, solid);
-    let objects = volume.objects(solid);
+    let objects = volume.object_groups(solid);
     let observation = observe(&volume, &objects);
     stages.end("volume")?;
     let features = refine(&field, solid, table_m, None, options);
@@ -215,6 +219,7 @@ pub fn from_contact_field(
         world_from_camera: Isometry3::from_parts(eye.coords.into(), rotation),
         view_direction: -Vector3::z_axis(),
         observation,
+        objects,
         stages: stages.done,
     })
 }
@@ -274,8 +279,8 @@ fn validate(options: &SceneOptions) -> Result<(), SceneError> {
     Ok(())
 }
 
-fn observe(volume: &Volume, objects: &[bool]) -> Observation {
-    let voxels = objects.iter().filter(|&&o| o).count();
+fn observe(volume: &Volume, objects: &[u16]) -> Observation {
+    let voxels = objects.iter().filter(|&&o| o > 0).count();
     if voxels > 0 {
         Observation::Objects { voxels }
     } else if volume.state.contains(&VoxelState::Surface) {
@@ -286,9 +291,9 @@ fn observe(volume: &Volume, objects: &[bool]) -> Observation {
 }
 
 /// From `eye` (volume frame) towards the mean of the object voxels, or the cube's middle without objects.
-fn view_direction(grid: &Grid, objects: &[bool], eye: &Point3<f64>) -> Unit<Vector3<f64>> {
+fn view_direction(grid: &Grid, objects: &[u16], eye: &Point3<f64>) -> Unit<Vector3<f64>> {
     let (mut count, mut sum) = (0usize, [0usize; 3]);
-    for i in (0..objects.len()).filter(|&i| objects[i]) {
+    for i in (0..objects.len()).filter(|&i| objects[i] > 0) {
         let voxel = grid.voxel(i);
         count += 1;
         for a in 0..3 {

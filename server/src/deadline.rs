@@ -1,7 +1,7 @@
 //! Time and cancellation of a call: when it arrived, when its answer is due, and whether anybody still waits.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use graspd_planner::budget::{Budget, Stop};
@@ -28,10 +28,14 @@ impl CallClock {
         self.arrived.elapsed()
     }
 
-    /// When planning must end so that its answer can be encoded and sent before the caller stops waiting.
-    pub(crate) fn planning_deadline(&self) -> Option<Instant> {
-        let reserve = |t: Duration| (t / 20).clamp(Duration::from_millis(10), Duration::from_millis(100));
-        self.timeout.and_then(|t| self.arrived.checked_add(t.saturating_sub(reserve(t).min(t / 2))))
+    /// When planning must end so that its answer can be ranked, encoded and sent before the caller stops
+    /// waiting. `overrun` is how far jobs have lately run past their end.
+    pub(crate) fn planning_deadline(&self, overrun: Duration) -> Option<Instant> {
+        let timeout = self.timeout?;
+        let share = (timeout / 10).clamp(Duration::from_millis(10), Duration::from_millis(250));
+        // A caller in a hurry still gets half of its time for planning.
+        let reserve = share.max(overrun * 3 / 2).min(timeout / 2);
+        self.arrived.checked_add(timeout.saturating_sub(reserve))
     }
 
     /// When an answer must leave even if it is only DEADLINE_EXCEEDED: before the transport's own timer,
@@ -39,6 +43,26 @@ impl CallClock {
     pub(crate) fn answer_deadline(&self) -> Option<Instant> {
         let reserve = |t: Duration| (t / 20).min(Duration::from_millis(3));
         self.timeout.and_then(|t| self.arrived.checked_add(t.saturating_sub(reserve(t))))
+    }
+}
+
+/// How far jobs run past their end: stopping takes an iteration and a last ranking, and how long those take
+/// depends on the machine and on what else it does. Remembers the worst, and forgets it slowly.
+#[derive(Debug, Default)]
+pub(crate) struct Overrun(AtomicU64);
+
+impl Overrun {
+    /// A job that was to end at `deadline` has just ended.
+    pub(crate) fn observe(&self, deadline: Instant) {
+        let seen = u64::try_from(deadline.elapsed().as_micros()).unwrap_or(u64::MAX);
+        let remember = |old: u64| Some(seen.max(old - old / 8));
+        // The closure never declines, so this cannot fail.
+        self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, remember).ok();
+    }
+
+    /// What to expect of the next job.
+    pub(crate) fn expected(&self) -> Duration {
+        Duration::from_micros(self.0.load(Ordering::Relaxed))
     }
 }
 
@@ -165,11 +189,28 @@ mod tests {
     fn planning_ends_before_the_answer_and_the_answer_before_the_caller() {
         for ms in [1, 20, 100, 1000, 60_000] {
             let clock = CallClock { arrived: Instant::now(), timeout: Some(Duration::from_millis(ms)) };
-            let planning = clock.planning_deadline().unwrap();
             let answer = clock.answer_deadline().unwrap();
-            assert!(clock.arrived < planning && planning <= answer, "{ms}");
+            for overrun in [Duration::ZERO, Duration::from_millis(7), Duration::from_secs(5)] {
+                let planning = clock.planning_deadline(overrun).unwrap();
+                assert!(clock.arrived < planning && planning <= answer, "{ms} {overrun:?}");
+                assert!(planning - clock.arrived >= Duration::from_millis(ms) / 2, "{ms} {overrun:?}");
+            }
             assert!(answer < clock.arrived + Duration::from_millis(ms), "{ms}");
         }
+    }
+
+    #[test]
+    fn an_overrun_is_remembered_and_slowly_forgotten() {
+        let overrun = Overrun::default();
+        assert_eq!(overrun.expected(), Duration::ZERO);
+        let past = |ms| Instant::now().checked_sub(Duration::from_millis(ms)).unwrap();
+        overrun.observe(past(80));
+        let worst = overrun.expected();
+        assert!(worst >= Duration::from_millis(80));
+        for _ in 0..60 {
+            overrun.observe(past(1));
+        }
+        assert!(overrun.expected() < worst / 8, "{:?}", overrun.expected());
     }
 
     #[test]

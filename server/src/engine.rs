@@ -12,7 +12,7 @@ use graspd_planner::scene::{self, Scene, SceneError};
 use graspd_proto::v1;
 
 use crate::convert::{HandJob, PlanContext, SceneRequest, out_of_time_response, plan_response};
-use crate::deadline::{CallBudget, CallClock};
+use crate::deadline::{CallBudget, CallClock, Overrun};
 use crate::error::{FieldError, FieldReason, ServiceError};
 use crate::estimators::Estimators;
 use crate::pool::{Pool, PoolError, Ticket};
@@ -29,6 +29,8 @@ pub(crate) struct Engine {
     pub(crate) estimators: Estimators,
     /// Set when the server ends and running jobs are not waited for any longer.
     pub(crate) aborted: Arc<AtomicBool>,
+    /// How far jobs run past their end.
+    pub(crate) overrun: Arc<Overrun>,
 }
 
 /// A hand's answer.
@@ -45,6 +47,7 @@ pub(crate) struct Call {
     pub(crate) budget: CallBudget,
     scene: Arc<SceneRequest>,
     estimator: Arc<dyn ContactEstimator>,
+    overrun: Arc<Overrun>,
 }
 
 /// What one hand's job needs.
@@ -74,8 +77,15 @@ impl Engine {
     /// A call with its scene; unknown estimators are found before anything is queued.
     pub(crate) fn call(&self, clock: CallClock, scene: SceneRequest) -> Result<Call, ServiceError> {
         let estimator = self.estimators.get(scene.estimator.as_deref())?;
-        let budget = CallBudget::new(clock.arrived, clock.planning_deadline()).abort_with(&self.aborted);
-        Ok(Call { clock, budget, scene: Arc::new(scene), estimator })
+        let budget = self.budget(&clock);
+        let overrun = Arc::clone(&self.overrun);
+        Ok(Call { clock, budget, scene: Arc::new(scene), estimator, overrun })
+    }
+
+    /// The budget of a call's work.
+    pub(crate) fn budget(&self, clock: &CallClock) -> CallBudget {
+        let deadline = clock.planning_deadline(self.overrun.expected());
+        CallBudget::new(clock.arrived, deadline).abort_with(&self.aborted)
     }
 
     /// A task with its hand.
@@ -261,6 +271,9 @@ impl Call {
             budget,
             tell.as_mut().map(|tell| tell as &mut dyn FnMut(&Plan)),
         );
+        if let (Some(Stop::Deadline), Some(deadline)) = (plan.stats.stopped, budget.deadline()) {
+            self.overrun.observe(deadline);
+        }
         match plan.stats.stopped {
             Some(Stop::Cancelled) => Err(ServiceError::Cancelled),
             Some(Stop::Deadline) if plan.grasps.is_empty() && self.call_ends_first(task) => {

@@ -157,6 +157,7 @@ impl Server {
             registry,
             estimators: config.estimators.clone(),
             aborted: Arc::default(),
+            overrun: Arc::default(),
         });
         let fault = |source| ServeError::Bind { addr, source };
         let listener = TcpListener::bind(addr).await.map_err(fault)?;

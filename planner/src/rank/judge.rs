@@ -1,5 +1,7 @@
 //! Judging one optimized candidate: a grasp with its figures, or the reason why not.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Isometry3, Point3, Translation3, Unit, Vector3};
 
 use super::collision::{self, SCENE_TOLERANCE_M, SELF_TOLERANCE_M, TABLE_TOLERANCE_M};
@@ -53,6 +55,8 @@ pub(crate) struct Judge<'a> {
 struct Touch {
     point: Vector3<f64>,
     inward: Unit<Vector3<f64>>,
+    /// Group of the object that is touched; 0 where it is not known.
+    object: u16,
     pad: usize,
     body: usize,
     certainty: f64,
@@ -80,7 +84,7 @@ impl Judge<'_> {
         if !self.allowed.holds(model, &candidate.reaching, &at) {
             return Err(Rejection::new(R::OrientationLimit, 0.0));
         }
-        let touches = self.touches(scratch);
+        let touches = self.of_one_object(self.touches(scratch));
         let center = middle(&touches).unwrap_or(mean);
         let (centroid, label) = self.nearest_object(&center);
         if !self.is_target(&centroid, label) {
@@ -143,15 +147,40 @@ impl Judge<'_> {
                 // Where the pad will press: the surface point nearest to the candidate.
                 let away = slope.try_normalize(1e-3).unwrap_or_else(|| -inward.into_inner());
                 let certainty = look.certainty();
-                Some(Touch {
-                    point: contacts.point[i] - away * gap,
-                    inward,
-                    pad: candidate.pad,
-                    body: candidate.body,
-                    certainty,
-                })
+                let point = contacts.point[i] - away * gap;
+                let object = self.object_behind(&point, &inward);
+                Some(Touch { point, object, inward, pad: candidate.pad, body: candidate.body, certainty })
             })
             .collect()
+    }
+
+    /// Of touches on several objects those on the one that most candidates touch: a grasp holds one object, and a
+    /// finger on its neighbour holds nothing.
+    fn of_one_object(&self, mut touches: Vec<Touch>) -> Vec<Touch> {
+        let mut counts = BTreeMap::new();
+        for t in &touches {
+            *counts.entry(t.object).or_insert(0usize) += 1;
+        }
+        // The first of equals, so that the choice does not depend on anything but the scene.
+        let most = counts.iter().max_by(|a, b| a.1.cmp(b.1).then(b.0.cmp(a.0))).map(|(o, _)| *o);
+        touches.retain(|t| Some(t.object) == most);
+        touches
+    }
+
+    /// The object behind a surface point: the first group met on the way in; 0 where there is none.
+    fn object_behind(&self, surface: &Vector3<f64>, inward: &Vector3<f64>) -> u16 {
+        let grid = self.scene.workspace.grid;
+        let voxel_m = grid.voxel_m();
+        let within = |p: &Vector3<f64>| p.iter().all(|&v| (0.0..grid.size_m).contains(&v));
+        (0..5)
+            .map(|k| surface + inward * (f64::from(k) * 0.5 * voxel_m))
+            .filter(within)
+            .map(|p| {
+                let [x, y, z] = [p.x, p.y, p.z].map(|v| ((v / voxel_m) as usize).min(grid.resolution - 1));
+                self.scene.objects[grid.index(x, y, z)]
+            })
+            .find(|&object| object > 0)
+            .unwrap_or(0)
     }
 
     /// The centred centroid nearest to the middle of the contacts, volume frame, and its label.

@@ -71,16 +71,23 @@ impl Volume {
         filled
     }
 
-    /// The part of `solid` that belongs to objects: at least one voxel above the table top, in connected groups
-    /// (over faces) of at least [`MIN_OBJECT_VOXELS`]. Without a table: all such groups.
+    /// The part of `solid` that belongs to objects, see [`Volume::object_groups`].
     pub fn objects(&self, solid: &[bool]) -> Vec<bool> {
+        self.object_groups(solid).iter().map(|&g| g > 0).collect()
+    }
+
+    /// What `solid` has of objects: at least one voxel above the table top, in connected groups (over faces) of
+    /// at least [`MIN_OBJECT_VOXELS`]. Without a table: all such groups. The number of its group for each voxel,
+    /// counted from 1; 0 for voxels of no object. Objects that touch share a group.
+    pub fn object_groups(&self, solid: &[bool]) -> Vec<u16> {
         let n = self.grid.resolution;
         let first = self.first_object_layer();
         let mut open = solid.to_vec();
         for column in open.chunks_mut(n.max(1)) {
             column[..first].fill(false);
         }
-        let mut objects = vec![false; open.len()];
+        let mut groups = vec![0u16; open.len()];
+        let mut last = 0u16;
         let mut group = Vec::new();
         for seed in 0..open.len() {
             if !open[seed] {
@@ -108,12 +115,13 @@ impl Volume {
                 visit(z + 1 < n, i + 1);
             }
             if group.len() >= MIN_OBJECT_VOXELS {
+                last = last.saturating_add(1);
                 for &i in &group {
-                    objects[i] = true;
+                    groups[i] = last;
                 }
             }
         }
-        objects
+        groups
     }
 
     /// Number of whole layers below the table top: the voxels whose centre is under it.

@@ -79,8 +79,7 @@ impl HandService for HandApi {
             upload.push(message)?;
         }
         let Upload { hand_id, validate_only, files, .. } = upload;
-        let budget =
-            CallBudget::new(clock.arrived, clock.planning_deadline()).abort_with(&self.engine.aborted);
+        let budget = self.engine.budget(&clock);
         let _cancel = budget.cancel_on_drop();
         let ticket = self
             .engine

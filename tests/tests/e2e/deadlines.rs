@@ -123,10 +123,10 @@ async fn a_full_queue_refuses_at_once_and_a_patient_client_gets_through() {
     assert_eq!(answer.stats.unwrap().hand, format!("hands/{GRIPPER}"));
 }
 
-/// More iterations than any of these tests waits for.
+/// More work than any of these tests waits for on two threads.
 fn endless() -> PlanGraspsRequest {
     let options = PlanOptions {
-        batch_size: 256,
+        batch_size: 512,
         scheme: Some(v1::Scheme { iteration_count: 10_000, penetration_iteration_count: 10_000 }),
         seed: 1,
         ..PlanOptions::default()
