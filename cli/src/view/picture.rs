@@ -75,7 +75,7 @@ impl Stage {
     fn new(scene: &ViewScene) -> Option<Self> {
         let frame = scene.frame.as_ref()?;
         let up = scene.up();
-        let target = scene.middle() + up * 0.075;
+        let target = scene.middle() + up * 0.095;
         let eye = lowered(&Point3::from(scene.world_from_camera.translation.vector), &target, &up);
         let camera = look(&eye, &target, &(scene.world_from_camera.rotation * -Vector3::y()));
         // From above, to the left of the camera and towards it.
@@ -263,7 +263,7 @@ fn look(eye: &Point3<f64>, target: &Point3<f64>, up: &Vector3<f64>) -> Pinhole {
         Translation3::from(eye.coords),
         UnitQuaternion::from_rotation_matrix(&rotation),
     );
-    let half_height_m = 0.200;
+    let half_height_m = 0.215;
     Pinhole {
         focal_px: (TILE[1] * FINE) as f64 / 2.0 * (target - eye).norm() / half_height_m,
         center_px: [(TILE[0] * FINE) as f64 / 2.0 - 0.5, (TILE[1] * FINE) as f64 / 2.0 - 0.5],

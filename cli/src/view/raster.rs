@@ -138,6 +138,7 @@ impl Buffer {
         let to_light = shadows.to_light.into_inner();
         let up = shadows.up.into_inner();
         let eye = camera.camera_from_world.inverse_transform_point(&Point3::origin());
+        let spiral = spiral();
         (0..self.width * self.height)
             .into_par_iter()
             .map(|i| {
@@ -158,7 +159,7 @@ impl Buffer {
                 let half = (to_light + view).normalize();
                 let gloss = n.dot(&half).max(0.0).powi(40) * 0.22 * lit;
                 let sky = 0.5 + 0.5 * n.dot(&up);
-                let ambient = (0.20 + 0.28 * sky) * self.openness(u, v, z);
+                let ambient = (0.20 + 0.28 * sky) * self.openness(&spiral, u, v, z);
                 let rim = (1.0 - n.dot(&view)).powi(3) * 0.10;
                 let light = (0.72 * diffuse + ambient + rim) as f32;
                 self.albedo[i].map(|c| c * light + gloss as f32)
@@ -167,13 +168,10 @@ impl Buffer {
     }
 
     /// Share of the surroundings that is not in front of a pixel: ambient occlusion in image space.
-    fn openness(&self, u: usize, v: usize, z: f32) -> f64 {
-        // Sixteen directions of growing distance on a spiral; rotated a little from pixel to pixel.
-        let turn = ((u * 7 + v * 13) % 8) as f64 * 0.0982;
+    fn openness(&self, spiral: &Spiral, u: usize, v: usize, z: f32) -> f64 {
         let mut hidden = 0.0;
-        for k in 0..16 {
-            let (angle, radius) = (f64::from(k) * 2.399_963 + turn, (f64::from(k) + 1.0) * 1.6);
-            let (a, b) = (u as f64 + angle.cos() * radius, v as f64 + angle.sin() * radius);
+        for (x, y) in spiral[(u * 7 + v * 13) % TURNS] {
+            let (a, b) = (u as f64 + x, v as f64 + y);
             if a < 0.0 || b < 0.0 || a >= self.width as f64 || b >= self.height as f64 {
                 continue;
             }
@@ -184,6 +182,23 @@ impl Buffer {
         }
         1.0 - 0.75 * hidden / 16.0
     }
+}
+
+/// Rotations of the pattern in which ambient occlusion looks around.
+const TURNS: usize = 8;
+
+/// Sixteen offsets of growing distance, pixels, for each rotation; neighbouring pixels use different ones.
+type Spiral = [[(f64, f64); 16]; TURNS];
+
+fn spiral() -> Spiral {
+    std::array::from_fn(|turn| {
+        std::array::from_fn(|k| {
+            // The golden angle spreads directions evenly.
+            let (sin, cos) = (k as f64 * 2.399_963 + turn as f64 * 0.0982).sin_cos();
+            let radius = (k as f64 + 1.0) * 1.6;
+            (cos * radius, sin * radius)
+        })
+    })
 }
 
 /// Depth as the light sees it, for one directional light.

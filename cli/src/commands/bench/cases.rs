@@ -141,7 +141,7 @@ impl Bench {
         time(|| refine(&scene.contact_field, &solid, table, labels, options))
     }
 
-    /// The encoding of the bundled frame as a volume: fusion, completion and the network's input.
+    /// The encoding of the bundled frame as a volume: fusion, and the array that an estimator's network reads.
     fn volume(&self, kind: VolumeKind) -> Duration {
         let mut volume =
             graspd_planner::volume::Volume::empty(self.framed.volume.grid, self.framed.volume.table_m);
