@@ -56,7 +56,7 @@ pub fn check(id: &str, files: &HandFiles) -> Report {
     }
     for file in [URDF, TOML] {
         if !files.files.contains_key(file) {
-            findings.error(file, "file", "nothing", "a hand needs hand.urdf and hand.toml");
+            findings.error(file, "file", "nothing", "hand.urdf and hand.toml in the folder");
         }
     }
     let hand = load::read(id, files, &mut findings);
