@@ -183,9 +183,12 @@ impl Call {
         ServiceError::Deadline { elapsed: self.clock.elapsed(), stage }
     }
 
-    /// When the last word must be sent, if the caller named a time.
-    pub(crate) fn answer_deadline(&self) -> Option<Instant> {
-        self.clock.answer_deadline()
+    /// Ready when the last word must be sent; never, if the caller named no time.
+    pub(crate) async fn answer_due(&self) {
+        match self.clock.answer_deadline() {
+            Some(deadline) => tokio::time::sleep_until(deadline.into()).await,
+            None => std::future::pending().await,
+        }
     }
 
     /// Time since the arrival.

@@ -99,7 +99,7 @@ pub enum ServeError {
     /// The descriptors for reflection cannot be read.
     #[error("reflection: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
-    /// A helper thread was lost.
+    /// The thread that reads hands was lost.
     #[error("loading hands: {0}")]
     Loading(String),
 }

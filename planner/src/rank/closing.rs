@@ -18,7 +18,7 @@ const TOUCH_M: f64 = 0.001;
 /// Closing stops when a pad is this deep although another finger of the same motor does not touch, metres.
 const TOO_DEEP_M: f64 = 0.004;
 /// Fingers close at most this far to find a surface, metres of fingertip motion.
-const TRAVEL_M: f64 = 0.12;
+const TRAVEL_M: f64 = 0.25;
 /// No moved part gets deeper into the scene than this, metres: under a voxel, the resolution of the scene.
 const DEEPEST_M: f64 = 0.004;
 /// A hand with one motor is shifted at most this far so that its fingers touch together, metres.

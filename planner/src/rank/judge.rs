@@ -18,8 +18,8 @@ use crate::scene::Scene;
 
 /// A candidate this close to the scene's surface is a contact, metres: one and a half voxels.
 const CONTACT_M: f64 = 0.0075;
-/// Smallest alignment of a pad normal and the inward direction that makes a contact.
-const ALIGNED: f64 = 0.1;
+/// Smallest cosine between a pad's normal and the inward direction that makes a contact.
+const ALIGNED: f64 = 0.2;
 /// Smallest force-closure margin.
 const LEAST_MARGIN: f64 = 0.005;
 /// Openings that are tried for the approach, from fully open (share of the way from contact to open).
@@ -144,8 +144,13 @@ impl Judge<'_> {
                     return None;
                 }
                 let candidate = &hand.candidates[i];
-                // Where the pad will press: the surface point nearest to the candidate.
+                // The surface that is really there must face the pad too: near edges the field's direction can
+                // belong to another side.
                 let away = slope.try_normalize(1e-3).unwrap_or_else(|| -inward.into_inner());
+                if -contacts.normal[i].dot(&away) < ALIGNED {
+                    return None;
+                }
+                // Where the pad will press: the surface point nearest to the candidate.
                 let certainty = look.certainty();
                 let point = contacts.point[i] - away * gap;
                 let object = self.object_behind(&point, &inward);

@@ -108,8 +108,13 @@ impl PlannerService for PlannerApi {
                 });
             }
             tokio::select! {
+                biased;
                 () = sender.closed() => {}
                 () = send_results(&call, answers, &sender) => {}
+                () = call.answer_due() => {
+                    // What has been answered is on its way; the rest was not done in time.
+                    sender.send(Err(call.late("with hands that have no answer").into())).await.ok();
+                }
             }
         });
         Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
@@ -182,12 +187,7 @@ impl GraspStream {
         }
         let answer = self.engine.answer(&self.call, &self.task, ticket);
         tokio::pin!(answer);
-        let expired = async {
-            match self.call.answer_deadline() {
-                Some(deadline) => tokio::time::sleep_until(deadline.into()).await,
-                None => std::future::pending().await,
-            }
-        };
+        let expired = self.call.answer_due();
         tokio::pin!(expired);
         let mut more = true;
         loop {

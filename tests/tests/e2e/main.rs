@@ -1,6 +1,6 @@
 //! End-to-end tests over real sockets, one module for each thing that a caller relies on.
 
-// Helpers of tests fail like tests.
+// What tests share fails like a test.
 #![allow(clippy::unwrap_used)]
 
 mod bad_input;

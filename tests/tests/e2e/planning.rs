@@ -1,6 +1,8 @@
 //! Planning in a known scene: a box on a table.
 
-use graspd_client::{Grasp, PlanGraspsRequest, PlanOptions, SceneOptions};
+use std::time::SystemTime;
+
+use graspd_client::{DepthFrame, Grasp, PlanGraspsRequest, PlanOptions, SceneOptions};
 use graspd_proto::v1;
 use graspd_tests::{BOX_HALF_M, BoxScene, SCENE_FRAME, TestServer};
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -86,12 +88,14 @@ async fn nothing_but_a_frame_and_a_lens_is_enough() {
     let server = TestServer::start().await;
     let client = server.client().await;
     let scene = BoxScene::default();
+    let taken = SystemTime::now().into();
     let plan = PlanGraspsRequest {
         hand: format!("hands/{GRIPPER}"),
-        frames: vec![scene.frame_without_pose()],
+        frames: vec![DepthFrame { capture_time: Some(taken), ..scene.frame_without_pose() }],
         ..PlanGraspsRequest::default()
     };
     let answer = client.plan_grasps(&plan).await.unwrap();
+    assert_eq!(answer.capture_time, Some(taken));
     assert!(!answer.grasps.is_empty(), "{:?} {:?}", answer.no_grasp, answer.stats);
     for grasp in &answer.grasps {
         check(grasp, &scene, "camera", "camera");
