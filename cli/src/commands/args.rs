@@ -87,7 +87,8 @@ pub(crate) struct SearchArgs {
     /// Leave out grasps that score less, 0 to 1
     #[arg(long, default_value_t = 0.0, value_parser = parse_share)]
     min_score: f64,
-    /// Stop after this many milliseconds for each hand and answer with the best so far
+    /// Stop the search for each hand after this many milliseconds and answer with the best so far; a server
+    /// counts from the arrival of the request
     #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u64).range(1..))]
     budget_ms: Option<u64>,
     /// Coulomb friction between pads and objects

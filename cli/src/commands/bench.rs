@@ -49,7 +49,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
         let times = stats::measure(args.runs as usize, || (case.run)(&bench));
         if !args.json {
             // Progress for people goes where it does not disturb a table in a file.
-            eprintln!("{:<28} {:>9.2} ms", case.name, times.median_ms);
+            writeln!(std::io::stderr(), "{:<28} {:>9.2} ms", case.name, times.median_ms).ok();
         }
         results.push((case.name.clone(), times));
     }

@@ -64,3 +64,67 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, InputError> {
     }
     std::fs::read(path).map_err(unreadable)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Valid files with some bytes changed and cut off somewhere: nearly right is where parsers break.
+    fn damaged(valid: Vec<u8>) -> impl Strategy<Value = Vec<u8>> {
+        let length = valid.len();
+        (prop::collection::vec((0..length, any::<u8>()), 0..12), 0..=length).prop_map(
+            move |(changes, end)| {
+                let mut bytes = valid.clone();
+                for (at, value) in changes {
+                    bytes[at] = value;
+                }
+                bytes.truncate(end.max(length / 2));
+                bytes
+            },
+        )
+    }
+
+    fn small_png() -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 4, 3);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Sixteen);
+        encoder.write_header().unwrap().write_image_data(&[7; 24]).unwrap();
+        bytes
+    }
+
+    fn small_npy() -> Vec<u8> {
+        use npyz::WriterBuilder as _;
+        let mut bytes = Vec::new();
+        let mut writer =
+            npyz::WriteOptions::new().default_dtype().shape(&[3, 4]).writer(&mut bytes).begin_nd().unwrap();
+        writer.extend((0..12u16).collect::<Vec<u16>>()).unwrap();
+        writer.finish().unwrap();
+        bytes
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_images_are_errors_or_images(png in damaged(small_png()), npy in damaged(small_npy())) {
+            for raw in [depth::RawDepth::from_png("d", &png), depth::RawDepth::from_npy("d", &npy)].into_iter().flatten() {
+                prop_assert_eq!(raw.in_metres(0.001).depth_m.len(), raw.width * raw.height);
+            }
+        }
+
+        #[test]
+        fn damaged_intrinsics_are_errors_or_intrinsics(bytes in damaged(crate::demo_scene::FRAME_JSON.to_vec())) {
+            if let Ok(file) = intrinsics::FrameFile::parse("f", &bytes) {
+                prop_assert!(file.intrinsics.fx_px > 0.0 && file.depth_scale > 0.0);
+            }
+        }
+
+        #[test]
+        fn damaged_contact_fields_do_not_panic(bytes in damaged(npz::tests::small_archive())) {
+            if let Ok(loaded) = npz::parse("f", &bytes) {
+                prop_assert!(loaded.field.certainty.iter().all(|c| (0.0..=1.0).contains(c)));
+                prop_assert_eq!(loaded.solid.len(), loaded.field.grid.len());
+            }
+        }
+    }
+}

@@ -35,7 +35,11 @@ pub(crate) fn open(path: &Path) -> Result<LoadedField, InputError> {
     parse(&path.display().to_string(), &super::read(path)?)
 }
 
-fn parse(file: &str, bytes: &[u8]) -> Result<LoadedField, InputError> {
+/// Checks the contents of an archive.
+///
+/// # Errors
+/// As [`open`].
+pub(super) fn parse(file: &str, bytes: &[u8]) -> Result<LoadedField, InputError> {
     let mut archive = npyz::npz::NpzArchive::new(Cursor::new(bytes))
         .map_err(|e| InputError::wrong(file, "archive", e, "a NumPy .npz archive"))?;
     let (n, scores) = array(file, &mut archive, "contact_score", 1, None)?;
@@ -107,7 +111,7 @@ fn array<R: Read + Seek>(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use npyz::WriterBuilder;
 
@@ -127,6 +131,11 @@ mod tests {
         }
         drop(writer);
         bytes.into_inner()
+    }
+
+    /// A whole, small contact field.
+    pub(in crate::input) fn small_archive() -> Vec<u8> {
+        archive(&small())
     }
 
     fn small() -> Vec<(&'static str, Vec<u64>, Vec<f32>)> {

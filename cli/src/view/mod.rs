@@ -5,6 +5,7 @@ pub(crate) mod mesh;
 pub(crate) mod page;
 pub(crate) mod picture;
 pub(crate) mod raster;
+mod sheet;
 pub(crate) mod surface;
 
 use graspd_hands::Hand;

@@ -5,13 +5,14 @@ use rayon::prelude::*;
 
 use super::mesh::{self, TriangleMesh};
 use super::raster::{Buffer, Corner, Pinhole, ShadowMap};
+use super::sheet::Sheet;
 use super::surface::Surface;
-use super::{HandView, Moment, ViewScene, accent, body_poses, certainty_color, lettering};
+use super::{HandView, Moment, ViewScene, accent, body_poses, certainty_color};
 
 /// Size of a tile's view, pixels.
-const TILE: [usize; 2] = [470, 380];
+pub(super) const TILE: [usize; 2] = [470, 380];
 /// Height of a tile's caption, pixels.
-const CAPTION: usize = 54;
+pub(super) const CAPTION: usize = 54;
 /// Space between tiles, pixels.
 const GAP: usize = 8;
 /// Tiles in a row.
@@ -20,9 +21,6 @@ const COLUMNS: usize = 4;
 const FINE: usize = 2;
 
 const BACKGROUND: [f32; 3] = [0.010, 0.013, 0.018];
-const CAPTION_GROUND: [f32; 3] = [0.018, 0.023, 0.031];
-const TEXT: [f32; 3] = [0.86, 0.89, 0.93];
-const QUIET_TEXT: [f32; 3] = [0.36, 0.41, 0.48];
 
 /// Why there is no picture.
 #[derive(Debug, thiserror::Error)]
@@ -55,12 +53,17 @@ pub(crate) fn render(scene: &ViewScene, hands: &[HandView<'_>]) -> Result<Vec<u8
 }
 
 /// A finished tile: its view, and what is written under it.
-struct Tile {
-    pixels: Vec<[f32; 3]>,
-    title: String,
-    figure: String,
-    detail: String,
-    color: [f32; 3],
+pub(super) struct Tile {
+    /// The view, linear colours.
+    pub(super) pixels: Vec<[f32; 3]>,
+    /// Large, on the left.
+    pub(super) title: String,
+    /// On the right: a score, or words where there is none.
+    pub(super) figure: String,
+    /// Small, under the title.
+    pub(super) detail: String,
+    /// Of the stripe between view and caption.
+    pub(super) color: [f32; 3],
 }
 
 /// The scene, drawn once; each tile starts from a copy.
@@ -281,82 +284,6 @@ fn ground_color(height_m: f64) -> [f32; 3] {
 
 fn count(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
-}
-
-/// The whole picture, linear colours.
-struct Sheet {
-    width: usize,
-    height: usize,
-    pixels: Vec<[f32; 3]>,
-}
-
-impl Sheet {
-    fn new(width: usize, height: usize) -> Self {
-        Self { width, height, pixels: vec![[0.004, 0.005, 0.007]; width * height] }
-    }
-
-    fn place(&mut self, tile: &Tile, left: usize, top: usize) {
-        for y in 0..TILE[1] + CAPTION {
-            for x in 0..TILE[0] {
-                let pixel = if y < TILE[1] {
-                    tile.pixels[y * TILE[0] + x]
-                } else if y < TILE[1] + 4 {
-                    tile.color
-                } else {
-                    CAPTION_GROUND
-                };
-                self.pixels[(top + y) * self.width + left + x] = pixel;
-            }
-        }
-        let (x, y) = ((left + 12) as f64, (top + TILE[1]) as f64);
-        let right = (left + TILE[0] - 12) as f64;
-        self.text(&tile.title, [x, y + 28.0], 16.0, TEXT);
-        self.text(&tile.detail, [x, y + 46.0], 11.0, QUIET_TEXT);
-        if !tile.figure.is_empty() {
-            let number = tile.figure.starts_with(|c: char| c.is_ascii_digit());
-            let size = if number { 24.0 } else { 16.0 };
-            let left = right - lettering::width(&tile.figure) * size;
-            self.text(&tile.figure, [left, y + 42.0], size, TEXT);
-            if number {
-                self.text(
-                    "score",
-                    [left - lettering::width("score ") * 11.0 - 4.0, y + 42.0],
-                    11.0,
-                    QUIET_TEXT,
-                );
-            }
-        }
-    }
-
-    fn text(&mut self, text: &str, origin: [f64; 2], height: f64, color: [f32; 3]) {
-        let (width, total) = (self.width as i64, self.height as i64);
-        let pixels = &mut self.pixels;
-        lettering::draw(text, origin, height, |x, y, coverage| {
-            if x >= 0 && y >= 0 && x < width && y < total {
-                let pixel = &mut pixels[(y * width + x) as usize];
-                *pixel = [0, 1, 2].map(|k| pixel[k] + (color[k] - pixel[k]) * coverage);
-            }
-        });
-    }
-
-    fn to_png(&self) -> Result<Vec<u8>, PictureError> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        let mut writer = encoder.write_header()?;
-        let data: Vec<u8> = self.pixels.iter().flatten().map(|&c| srgb(c)).collect();
-        writer.write_image_data(&data)?;
-        writer.finish()?;
-        Ok(bytes)
-    }
-}
-
-/// A linear intensity as an sRGB byte.
-pub(crate) fn srgb(linear: f32) -> u8 {
-    let c = linear.clamp(0.0, 1.0);
-    let encoded = if c <= 0.003_130_8 { 12.92 * c } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };
-    (encoded * 255.0).round() as u8
 }
 
 #[cfg(test)]
