@@ -4,6 +4,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use clap::Args;
+use graspd_planner::grid::Grid;
 use graspd_planner::options::{
     KeepOut, OrientationLimits, PlanOptions, Reaching, SceneOptions, Scheme, Target, VolumeKind,
     WorkspaceRequest,
@@ -23,7 +24,13 @@ pub(crate) struct SceneArgs {
     /// T_fe: focal centroids exceed this share of the largest centroid score, 0 to 1
     #[arg(long, default_value_t = 0.95, value_name = "SHARE", value_parser = parse_share)]
     t_fe: f64,
-    /// Corner of the 0.4 m cube in the world, metres, and its yaw in degrees; found from the table if left out
+    /// Edge length of the volume, metres
+    #[arg(long, default_value_t = 0.4, value_name = "METRES", value_parser = parse_size)]
+    volume_size: f64,
+    /// Voxels along each edge of the volume
+    #[arg(long, default_value_t = 80, value_name = "VOXELS", value_parser = clap::value_parser!(u32).range(16..=128))]
+    volume_resolution: u32,
+    /// Corner of the volume in the world, metres, and its yaw in degrees; found from the table if left out
     #[arg(long, value_name = "X,Y,Z[,YAW]", allow_hyphen_values = true)]
     workspace: Option<Numbers<3, 4>>,
     /// Height of the table top in the cube, metres; only with --workspace
@@ -42,10 +49,10 @@ impl SceneArgs {
         };
         SceneOptions {
             volume: self.volume,
+            grid: Grid { resolution: self.volume_resolution as usize, size_m: self.volume_size },
             workspace,
             focal_contact_threshold: self.t_fc,
             focal_centroid_threshold: self.t_fe,
-            ..SceneOptions::default()
         }
     }
 }
@@ -224,6 +231,13 @@ fn parse_share(text: &str) -> Result<f64, String> {
         .ok()
         .filter(|x| (0.0..=1.0).contains(x))
         .ok_or_else(|| "expected a number from 0 to 1".into())
+}
+
+fn parse_size(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|x| (0.1..=2.0).contains(x))
+        .ok_or_else(|| "expected a number from 0.1 to 2".into())
 }
 
 fn parse_scheme(text: &str) -> Result<Scheme, String> {

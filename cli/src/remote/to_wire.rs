@@ -59,6 +59,8 @@ pub(crate) fn scene_options(options: &SceneOptions) -> v1::SceneOptions {
         workspace,
         focal_contact_threshold: Some(options.focal_contact_threshold),
         focal_centroid_threshold: Some(options.focal_centroid_threshold),
+        volume_size_m: Some(options.grid.size_m),
+        volume_resolution: i32::try_from(options.grid.resolution).unwrap_or(i32::MAX),
     }
 }
 

@@ -19,6 +19,10 @@ const MOST_KEEP_OUT_BOXES: usize = 64;
 const LARGEST_BATCH: i32 = 4096;
 /// At most this many iterations.
 const MOST_ITERATIONS: i32 = 10_000;
+/// Smallest and largest edge length of a volume, metres.
+const VOLUME_SIZE_M: (f64, f64) = (0.1, 2.0);
+/// Smallest and largest number of voxels along an edge: 128 keep a frame's fields under 150 MB.
+const VOLUME_RESOLUTION: (i32, i32) = (16, 128);
 /// At most this many grasps.
 const MOST_GRASPS: i32 = 1000;
 
@@ -29,7 +33,15 @@ pub(super) fn scene_options(
 ) -> Result<(SceneOptions, Option<String>), FieldError> {
     let defaults = SceneOptions::default();
     let Some(wire) = wire else { return Ok((defaults, None)) };
-    let grid = Grid::default();
+    let grid = Grid {
+        resolution: resolution(wire.volume_resolution, &join(path, "volume_resolution"))?,
+        size_m: number_within(
+            wire.volume_size_m,
+            defaults.grid.size_m,
+            VOLUME_SIZE_M,
+            &join(path, "volume_size_m"),
+        )?,
+    };
     let volume = match known_enum(wire.volume_kind, &join(path, "volume_kind"))? {
         v1::VolumeKind::Unspecified | v1::VolumeKind::Tsdf => VolumeKind::Tsdf,
         v1::VolumeKind::Occupancy => VolumeKind::Occupancy,
@@ -65,6 +77,15 @@ pub(super) fn scene_options(
         )?,
     };
     Ok((options, Some(wire.estimator).filter(|name| !name.is_empty())))
+}
+
+fn resolution(wire: i32, path: &str) -> Result<usize, FieldError> {
+    let (low, high) = VOLUME_RESOLUTION;
+    match wire {
+        0 => Ok(Grid::default().resolution),
+        n if (low..=high).contains(&n) => Ok(n.unsigned_abs() as usize),
+        n => Err(FieldError::value(path, n, format!("{low} to {high} voxels, or 0 for 80"))),
+    }
 }
 
 /// How grasps are searched, and the budget (`None`: the call's deadline alone).

@@ -194,6 +194,8 @@ fn every_fault_names_its_field_and_kind() {
             "scene_options.workspace.table_height_m",
             Value,
         ),
+        (scene(|s| s.volume_size_m = Some(0.0)), "scene_options.volume_size_m", Value),
+        (scene(|s| s.volume_resolution = 500), "scene_options.volume_resolution", Value),
         (options(|o| o.batch_size = -1), "options.batch_size", Value),
         (options(|o| o.batch_size = 1_000_000), "options.batch_size", Value),
         (options(|o| o.scheme = Some(v1::Scheme::default())), "options.scheme.iteration_count", Value),
