@@ -10,6 +10,9 @@ use std::path::Path;
 use graspd_planner::contact_field::ContactField;
 use graspd_planner::grid::Grid;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use npyz::NpyFile;
+use zip::ZipArchive;
+use zip::result::ZipError;
 
 use super::InputError;
 
@@ -40,7 +43,7 @@ pub(crate) fn open(path: &Path) -> Result<LoadedField, InputError> {
 /// # Errors
 /// As [`open`].
 pub(super) fn parse(file: &str, bytes: &[u8]) -> Result<LoadedField, InputError> {
-    let mut archive = npyz::npz::NpzArchive::new(Cursor::new(bytes))
+    let mut archive = ZipArchive::new(Cursor::new(bytes))
         .map_err(|e| InputError::wrong(file, "archive", e, "a NumPy .npz archive"))?;
     let (n, scores) = array(file, &mut archive, "contact_score", 1, None)?;
     let (_, quaternions) = array(file, &mut archive, "contact_quat_xyzw", 4, Some(n))?;
@@ -69,16 +72,23 @@ pub(super) fn parse(file: &str, bytes: &[u8]) -> Result<LoadedField, InputError>
 /// One array with `channels` leading entries on a cubic grid: its resolution and values.
 fn array<R: Read + Seek>(
     file: &str,
-    archive: &mut npyz::npz::NpzArchive<R>,
+    archive: &mut ZipArchive<R>,
     name: &str,
     channels: u64,
     resolution: Option<u64>,
 ) -> Result<(u64, Vec<f32>), InputError> {
     let broken = |e: std::io::Error| InputError::wrong(file, name, e, "a whole array");
-    let present = archive.array_names().collect::<Vec<_>>().join(", ");
-    let Some(npy) = archive.by_name(name).map_err(broken)? else {
-        return Err(InputError::wrong(file, name, format!("only {present}"), "this array"));
+    let present: Vec<String> =
+        archive.file_names().flatten().map(|n| n.trim_end_matches(".npy").to_owned()).collect();
+    let entry = match archive.by_name(&format!("{name}.npy")) {
+        Ok(entry) => entry,
+        Err(ZipError::FileNotFound) => {
+            let found = format!("only {}", present.join(", "));
+            return Err(InputError::wrong(file, name, found, "this array"));
+        }
+        Err(e) => return Err(InputError::wrong(file, name, e, "a stored or deflated array")),
     };
+    let npy = NpyFile::new(entry).map_err(broken)?;
     let shape = npy.shape().to_vec();
     let edge = resolution.unwrap_or_else(|| shape.get(1).copied().unwrap_or(0));
     if shape != [channels, edge, edge, edge] || !(2..=MAX_RESOLUTION).contains(&edge) {
@@ -116,21 +126,15 @@ pub(super) mod tests {
     use npyz::WriterBuilder;
 
     fn archive(arrays: &[(&str, Vec<u64>, Vec<f32>)]) -> Vec<u8> {
-        let mut bytes = Cursor::new(Vec::new());
-        let mut writer = npyz::npz::NpzWriter::new(&mut bytes);
+        let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
         for (name, shape, values) in arrays {
-            let mut npy = writer
-                .array(name, Default::default())
-                .unwrap()
-                .default_dtype()
-                .shape(shape)
-                .begin_nd()
-                .unwrap();
+            zip.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+            let options = npyz::WriteOptions::new().default_dtype().shape(shape);
+            let mut npy = options.writer(&mut zip).begin_nd().unwrap();
             npy.extend(values.iter().copied()).unwrap();
             npy.finish().unwrap();
         }
-        drop(writer);
-        bytes.into_inner()
+        zip.finish().unwrap().into_inner()
     }
 
     /// A whole, small contact field.
