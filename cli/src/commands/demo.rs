@@ -52,7 +52,8 @@ pub(crate) fn run(args: &DemoArgs) -> anyhow::Result<()> {
     } else {
         args.hands.clone()
     };
-    let search = PlanOptions { seed: args.seed, ..PlanOptions::default() };
+    // Twice the usual batch: on a frame with small objects the largest hands need the choice.
+    let search = PlanOptions { seed: args.seed, batch: 96, ..PlanOptions::default() };
     let scene_options = SceneOptions::default();
     let question =
         Question { files: &files, scene: &scene_options, search: &search, budget: None, hands: &hands };

@@ -13,7 +13,7 @@ use crate::input;
 /// Reads a URDF and the meshes that it names, and writes a folder with them and a proposed `hand.toml`.
 ///
 /// # Errors
-/// If the URDF cannot be read, if nothing sensible can be derived from it, or if the folder exists already.
+/// If the URDF cannot be read, if nothing sensible can be derived from it, or if the folder has a description already.
 pub(super) fn run(urdf: &Path, folder: Option<&Path>, out: &mut impl Write) -> anyhow::Result<()> {
     let bytes = input::read(urdf)?;
     let text = String::from_utf8(bytes)
@@ -23,9 +23,9 @@ pub(super) fn run(urdf: &Path, folder: Option<&Path>, out: &mut impl Write) -> a
         None => PathBuf::from(hand_source::id_of(urdf)),
     };
     anyhow::ensure!(
-        !folder.exists(),
+        !folder.join("hand.toml").exists(),
         "{}: exists already; choose another folder with --out",
-        folder.display()
+        folder.join("hand.toml").display()
     );
     let base = urdf.parent().unwrap_or_else(|| Path::new("."));
     let mut files = HandFiles::default();
