@@ -40,7 +40,7 @@ pub struct ScoreParts {
     pub objective: f64,
     /// Force-closure margin with friction (Ferrari-Canny, torques scaled by the object's size).
     pub force_closure: f64,
-    /// Room around the hand at the grasp and on the approach.
+    /// Room around the parts that do not touch, at the grasp and on the approach.
     pub clearance: f64,
     /// Mean certainty of the contacts.
     pub certainty: f64,
@@ -98,7 +98,8 @@ pub struct Grasp {
     pub objective: ObjectiveTerms,
     /// Ferrari-Canny margin: the smallest wrench that breaks the grasp, per newton of grip; 0 without closure.
     pub epsilon: f64,
-    /// Smallest distance between the hand (outside its contacts) and everything else, metres.
+    /// Smallest distance between the parts of the hand that do not touch and everything else, at the grasp and on
+    /// the approach, metres. May be negative within the collision tolerance of one voxel.
     pub clearance_m: f64,
     /// Predicted centroid of the grasped object, world frame.
     pub centroid: Point3<f64>,
@@ -110,7 +111,7 @@ pub struct Grasp {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum RejectReason {
-    /// The budget ended before its first iteration.
+    /// The budget ended before its first iteration, or before it was looked at.
     Unfinished,
     /// The optimization left the finite numbers.
     Diverged,

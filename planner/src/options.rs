@@ -4,13 +4,13 @@ use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
 use crate::grid::Grid;
 
-/// How a volume stores what was seen.
+/// How a volume is read: what the estimator sees, and what counts as solid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum VolumeKind {
-    /// Truncated signed distance, 0 where unseen.
+    /// Truncated signed distance, 0 where unseen. Solid is what was seen, completed downwards to the table.
     #[default]
     Tsdf,
-    /// Occupancy: 1 unless seen to be free (the paper's "Voxel").
+    /// Occupancy: 1 unless seen to be free (the paper's "Voxel"). All of that is solid, shadows too.
     Occupancy,
 }
 
@@ -90,7 +90,7 @@ pub enum Reaching {
     CameraRay,
     /// This direction, world frame.
     Direction(Unit<Vector3<f64>>),
-    /// Any direction of the upper half space, drawn anew for each candidate.
+    /// Any direction within 1.3 rad of straight down (the volume's −z), drawn anew for each candidate.
     Free,
 }
 
@@ -98,10 +98,13 @@ pub enum Reaching {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OrientationLimits {
     /// Largest angle between the hand's approach axis and the reaching direction, radians. 0 leaves only
-    /// the rotation about the reaching direction (a 4-DoF SCARA); with [`Reaching::Free`] it is ignored.
+    /// the rotation about the reaching direction (a 4-DoF SCARA). With [`Reaching::Free`] both limits are
+    /// measured about straight down (the volume's −z).
     pub cone_rad: f64,
-    /// Allowed rotation about the reaching direction, radians, from the reference in which the hand's
-    /// lateral axis lies in the plane of the world's x axis; `None`: any.
+    /// Allowed rotation, radians, right-handed about the reaching direction (for top-down: opposite to a yaw
+    /// seen from above); `None`: any. Zero where the hand's lateral axis (x of the hand frame, or y where the
+    /// approach is along x) and the world's x axis (y where the hand reaches along x), both projected onto the
+    /// plane normal to the reaching direction, coincide.
     pub roll_rad: Option<(f64, f64)>,
 }
 

@@ -18,6 +18,8 @@ pub(crate) struct Allowed {
     cone_rad: f64,
     cone_cos: f64,
     roll_rad: Option<(f64, f64)>,
+    /// What limits are measured about, where it is not the candidate's own reaching direction.
+    about: Option<Vector3<f64>>,
     /// World x and y in the volume frame: the zero of the roll.
     references: [Vector3<f64>; 2],
 }
@@ -29,13 +31,13 @@ impl Allowed {
         world_from_volume: &Isometry3<f64>,
     ) -> Self {
         let volume_from_world = world_from_volume.rotation.inverse();
-        let free = matches!(reaching, Reaching::Free);
-        let cone_rad =
-            if free { std::f64::consts::PI } else { limits.cone_rad.clamp(0.0, std::f64::consts::PI) };
+        let cone_rad = limits.cone_rad.clamp(0.0, std::f64::consts::PI);
         Self {
             cone_rad,
             cone_cos: cone_rad.cos(),
             roll_rad: limits.roll_rad,
+            // A random direction that nobody returns is nothing that a robot could have limits about.
+            about: matches!(reaching, Reaching::Free).then(|| -Vector3::z()),
             references: [volume_from_world * Vector3::x(), volume_from_world * Vector3::y()],
         }
     }
@@ -47,6 +49,7 @@ impl Allowed {
         reaching: &Vector3<f64>,
         configuration: &mut Configuration,
     ) {
+        let reaching = &self.about.unwrap_or(*reaching);
         let axis = configuration.rotation * model.approach;
         if axis.dot(reaching) < self.cone_cos {
             let angle = axis.angle(reaching);
@@ -69,6 +72,7 @@ impl Allowed {
         reaching: &Vector3<f64>,
         configuration: &Configuration,
     ) -> bool {
+        let reaching = &self.about.unwrap_or(*reaching);
         let axis = configuration.rotation * model.approach;
         if axis.angle(reaching) > self.cone_rad + 1e-6 {
             return false;

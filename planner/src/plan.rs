@@ -15,6 +15,11 @@ use crate::rank::{self, Directions, Judge, Ranking};
 use crate::refine::CenteredCentroid;
 use crate::scene::{Observation, Scene};
 
+/// Iterations between two looks for a better set, for callers who want to see them.
+const LOOK_EVERY: usize = 20;
+/// Candidates that such a look judges.
+const LOOK_AT: usize = 48;
+
 /// Plans grasps of `hand` in `scene`.
 ///
 /// `on_better`, if given, is called from the planning thread with every better set as it is found, before
@@ -69,17 +74,18 @@ pub fn plan(
     let judge =
         Judge { scene, objective: &objective, allowed: &allowed, options, directions: Directions::new() };
 
-    let mut best_score = 0.0;
+    let (mut best_score, mut next_look) = (0.0, LOOK_EVERY);
     while !batch.is_finished() {
         if let Err(stop) = batch.round(budget) {
             stats.stopped = Some(stop);
             break;
         }
         let Some(report) = on_better.as_mut() else { continue };
-        if !batch.knows_penetration() || batch.is_finished() {
+        if batch.is_finished() || batch.iterations_done() < next_look {
             continue;
         }
-        let ranking = rank::rank(&judge, &batch.candidates);
+        next_look = batch.iterations_done() + LOOK_EVERY;
+        let ranking = rank::rank(&judge, &batch.candidates, LOOK_AT, budget);
         let score = ranking.grasps.first().map_or(0.0, |g| g.score);
         if score > best_score {
             best_score = score;
@@ -89,10 +95,12 @@ pub fn plan(
         }
     }
     let after_optimization = budget.elapsed();
+    stats.stopped = stats.stopped.or_else(|| budget.stop());
     if stats.stopped == Some(Stop::Cancelled) {
         return Plan { stats, no_grasp: Some(out_of_time()), ..Plan::default() };
     }
-    let ranking = rank::rank(&judge, &batch.candidates);
+    let ranking = rank::rank(&judge, &batch.candidates, usize::MAX, budget);
+    stats.stopped = stats.stopped.or_else(|| budget.stop());
     stats.candidates = batch.candidates.len();
     stats.iterations = batch.iterations_done();
     stats.stages.push(("initialize", after_init.saturating_sub(begin)));

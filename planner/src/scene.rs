@@ -144,6 +144,7 @@ pub fn prepare(
     stages.end("frame")?;
 
     let mut volume = Volume::empty(workspace.grid, workspace.table_m);
+    volume.kind = options.volume;
     for (frame, depth) in frames.iter().zip(&depths) {
         let world_from_camera = frame.world_from_camera.unwrap_or_else(Isometry3::identity);
         volume.integrate(frame, depth, &(world_from_camera.inverse() * workspace.world_from_volume));

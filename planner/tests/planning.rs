@@ -14,7 +14,7 @@ use graspd_planner::budget::{Budget, Stop, Unlimited};
 use graspd_planner::estimator::Geometric;
 use graspd_planner::grasp::{EmptyReason, Plan, RejectReason};
 use graspd_planner::options::{
-    KeepOut, OrientationLimits, PlanOptions, Reaching, SceneOptions, Scheme, Target,
+    KeepOut, OrientationLimits, PlanOptions, Reaching, SceneOptions, Scheme, Target, VolumeKind,
 };
 use graspd_planner::plan::plan;
 use graspd_planner::scene::{Scene, prepare};
@@ -230,6 +230,89 @@ fn a_target_point_is_what_is_grasped() {
     let nowhere = Some(Target::Point { point: Point3::new(0.5, 0.5, 0.5), radius_m: 0.02 });
     let none = plan_with("robotiq-2f85", &PlanOptions { target: nowhere, ..PlanOptions::default() });
     assert_eq!(none.no_grasp.map(|n| n.reason), Some(EmptyReason::TargetNotFound));
+}
+
+#[test]
+fn a_labelled_target_is_what_every_contact_touches() {
+    // Close enough that hands which aim at one object could end on its neighbour.
+    let objects: Vec<clutter::Object> = (0..12)
+        .map(|k| ([0.055 * f64::from(k % 4) - 0.08, 0.06 * f64::from(k / 4) - 0.06], 0.018, false))
+        .collect();
+    let mut frame = look_at(&objects);
+    let camera = frame.world_from_camera.expect("the synthetic camera has a pose");
+    let lens = frame.intrinsics;
+    let label_of = |i: usize, depth: f64| {
+        let u = ((i % 640) as f64 - lens.cx_px) / lens.fx_px;
+        let v = ((i / 640) as f64 - lens.cy_px) / lens.fy_px;
+        let p = camera * Point3::new(u * depth, v * depth, depth);
+        let near = |([x, y], r, _): &clutter::Object| {
+            p.z > 0.002 && (p.x - x).abs() < r + 0.002 && (p.y - y).abs() < r + 0.002
+        };
+        objects.iter().position(near).map_or(0, |k| k as u8 + 1)
+    };
+    let labels = frame.image.depth_m.iter().enumerate().map(|(i, d)| label_of(i, f64::from(*d))).collect();
+    frame.labels = Some(labels);
+    let scene = prepare(&[frame], &SceneOptions::default(), &Geometric, &Unlimited).expect("a valid frame");
+    let (mut found, mut others) = (0, 0);
+    for id in ["robotiq-2f85", "robotiq-3f", "leap", "finray-4f"] {
+        let hand = library::hand(id).expect("a library hand");
+        for label in 1..=12u8 {
+            let options = PlanOptions { target: Some(Target::Label(label)), ..quick() };
+            let result = plan(&scene, hand, &options, &Unlimited, None);
+            others += result.stats.rejected.get(&RejectReason::NotTarget).copied().unwrap_or(0);
+            let ([x, y], r, _) = objects[usize::from(label) - 1];
+            for grasp in &result.grasps {
+                assert_eq!(grasp.label, Some(label));
+                let touching = grasp
+                    .contacts
+                    .iter()
+                    .filter(|c| (c.point.x - x).abs() < r + 0.012 && (c.point.y - y).abs() < r + 0.012);
+                assert!(touching.count() > 0, "{id}: no contact is on object {label}");
+                found += 1;
+            }
+        }
+    }
+    assert!(found > 20, "{found} grasps of targets");
+    assert!(others > 0, "some candidates end on a neighbour and are counted");
+}
+
+#[test]
+fn ranking_keeps_to_the_budget_too() {
+    let hand = library::hand("robotiq-2f85").expect("a library hand");
+    let options =
+        PlanOptions { batch: 400, scheme: Scheme { iterations: 10, with_penetration: 10 }, ..quick() };
+    // Enough for all iterations, not for looking at every candidate.
+    let budget = Asked { left: AtomicUsize::new(400 * 10 + 60), stop: Stop::Deadline };
+    let result = plan(&CLUTTER, hand, &options, &budget, None);
+    let unfinished = result.stats.rejected.get(&RejectReason::Unfinished).copied().unwrap_or(0);
+    assert!(unfinished > 250, "{unfinished} candidates were left out: {:?}", result.stats.rejected);
+    assert_eq!(result.stats.stopped, Some(Stop::Deadline));
+}
+
+#[test]
+fn limits_with_a_free_direction_are_about_straight_down() {
+    let down = CLUTTER.workspace.world_from_volume * -Vector3::z();
+    let orientation = OrientationLimits { cone_rad: 0.5, roll_rad: None };
+    let options = PlanOptions { reaching: Reaching::Free, orientation, batch: 96, ..PlanOptions::default() };
+    let hand = library::hand("finray-2f").expect("a library hand");
+    let result = plan_with("finray-2f", &options);
+    assert!(!result.grasps.is_empty(), "{:?}", result.stats.rejected);
+    for grasp in &result.grasps {
+        let approach = grasp.world_from_hand.rotation * hand.approach.into_inner();
+        assert!(approach.angle(&down) <= 0.5 + 1e-6);
+    }
+}
+
+#[test]
+fn an_occupancy_volume_takes_shadows_as_solid() {
+    let frame = [look_at(&ten_objects())];
+    let of = |volume| {
+        let options = SceneOptions { volume, ..SceneOptions::default() };
+        prepare(&frame, &options, &Geometric, &Unlimited).expect("a valid frame")
+    };
+    let solid = |scene: &Scene| scene.features.scene_distance_m.iter().filter(|d| **d < 0.0).count();
+    let (tsdf, occupancy) = (of(VolumeKind::Tsdf), of(VolumeKind::Occupancy));
+    assert!(solid(&occupancy) > solid(&tsdf) + 1000, "{} {}", solid(&occupancy), solid(&tsdf));
 }
 
 #[test]

@@ -68,11 +68,6 @@ impl<'a> Batch<'a> {
         self.done >= self.scheme.iterations
     }
 
-    /// True once every candidate's best is a best with penetration.
-    pub(crate) fn knows_penetration(&self) -> bool {
-        self.done > self.scheme.iterations.saturating_sub(self.scheme.with_penetration)
-    }
-
     /// One round of iterations for all candidates.
     ///
     /// # Errors

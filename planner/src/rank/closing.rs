@@ -11,16 +11,21 @@ use crate::configuration::Configuration;
 use crate::hand_model::HandModel;
 use crate::objective::{Objective, Scratch};
 
-/// Fingertip motion of one closing step, metres.
+/// Fingertip motion of the smallest closing step, metres.
 const STEP_M: f64 = 0.001;
+/// Larger steps go this share of the way to the nearest thing.
+const SHARE_OF_ROOM: f64 = 0.7;
+/// No step is longer than this, metres.
+const LARGEST_STEP_M: f64 = 0.01;
+/// Spheres of different fingers may overlap by this much, metres: under the tolerance of the collision check.
+const OVERLAP_M: f64 = 0.002;
 /// A pad touches when one of its candidates is this close to the surface, metres.
 const TOUCH_M: f64 = 0.001;
-/// Closing stops when a pad is this deep although another finger of the same motor does not touch, metres.
-const TOO_DEEP_M: f64 = 0.004;
+/// Closing stops when a pad, or any moved part, is this deep in the scene, voxels: under the resolution of what
+/// was seen.
+const DEEPEST_VOXELS: f64 = 0.8;
 /// Fingers close at most this far to find a surface, metres of fingertip motion.
 const TRAVEL_M: f64 = 0.25;
-/// No moved part gets deeper into the scene than this, metres: under a voxel, the resolution of the scene.
-const DEEPEST_M: f64 = 0.004;
 /// A hand with one motor is shifted at most this far so that its fingers touch together, metres.
 const SHIFT_M: f64 = 0.02;
 /// How far beyond contact the squeeze command goes, metres of fingertip motion.
@@ -36,6 +41,8 @@ struct Closer {
     fingers: Vec<Vec<usize>>,
     /// Spheres that move with it.
     spheres: Vec<usize>,
+    /// Pairs for self-collision of which at least one sphere moves with it.
+    pairs: Vec<(usize, usize)>,
 }
 
 fn closers(model: &HandModel<'_>) -> Vec<Closer> {
@@ -63,25 +70,27 @@ fn closers(model: &HandModel<'_>) -> Vec<Closer> {
             }
             fingers.retain(|f| !f.is_empty());
             let spheres = (0..hand.spheres.len()).filter(|&i| moves(hand.spheres[i].body)).collect();
-            Closer { coordinate, sign: (c.closed - c.open).signum(), fingers, spheres }
+            let moved = |i: usize| moves(hand.spheres[i].body);
+            let pairs = hand.self_pairs.iter().copied().filter(|&(a, b)| moved(a) || moved(b)).collect();
+            Closer { coordinate, sign: (c.closed - c.open).signum(), fingers, spheres, pairs }
         })
         .filter(|c| !c.fingers.is_empty())
         .collect()
 }
 
-/// What closing looks at: the gaps of the fingers' pads, and how deep the moved parts are.
+/// What closing feels: the gaps of the fingers' pads, and the room of the moved parts.
 struct Feel {
     /// Smallest signed distance of each finger's candidates to the scene, metres.
     gaps: Vec<f64>,
-    /// Largest depth of a moved sphere in scene or table, metres.
-    depth: f64,
+    /// How much deeper than allowed the moved parts are in scene, table or each other, metres; negative is room.
+    over: f64,
     /// Mean outward normal of the pads that touch, volume frame.
     touching: Vector3<f64>,
 }
 
 impl Feel {
     fn is_too_deep(&self) -> bool {
-        self.depth > DEEPEST_M || self.gaps.iter().any(|&g| g < -TOO_DEEP_M)
+        self.over > 0.0
     }
 
     fn all_touch(&self) -> bool {
@@ -90,6 +99,12 @@ impl Feel {
 
     fn none_touches(&self) -> bool {
         self.gaps.iter().all(|&g| g > TOUCH_M)
+    }
+
+    /// A step that cannot jump through anything: nothing that moves is nearer than this.
+    fn safe_step(&self) -> f64 {
+        let nearest = self.gaps.iter().copied().fold(-self.over, f64::min);
+        (SHARE_OF_ROOM * nearest).clamp(STEP_M, LARGEST_STEP_M)
     }
 }
 
@@ -105,27 +120,22 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
     for closer in &all {
         let c = closer.coordinate;
         let limits = &model.hand.actuation.coordinates[c];
-        let step = STEP_M * model.step_scale[c] * closer.sign;
-        let move_by = |configuration: &mut Configuration, by: f64| {
-            let next = (configuration.coordinates[c] + by).clamp(limits.lower, limits.upper);
+        let per_metre = model.step_scale[c] * closer.sign;
+        let move_by = |configuration: &mut Configuration, metres: f64| {
+            let next = (configuration.coordinates[c] + metres * per_metre).clamp(limits.lower, limits.upper);
             let moved = next != configuration.coordinates[c];
             configuration.coordinates[c] = next;
             moved
         };
         let start = configuration.clone();
         let mut feel = feel(objective, configuration, closer, scratch);
-        let steps = (TRAVEL_M / STEP_M) as usize;
-        for _ in 0..steps {
-            if !feel.is_too_deep() || !move_by(configuration, -step) {
-                break;
-            }
+        let mut opened = 0.0;
+        while feel.is_too_deep() && opened < TRAVEL_M && move_by(configuration, -STEP_M) {
+            opened += STEP_M;
             feel = self::feel(objective, configuration, closer, scratch);
         }
-        let mut shifted = 0.0;
-        for _ in 0..steps {
-            if feel.all_touch() || feel.is_too_deep() {
-                break;
-            }
+        let (mut shifted, mut travelled) = (0.0, 0.0);
+        while !feel.all_touch() && !feel.is_too_deep() && travelled < TRAVEL_M {
             let before = configuration.clone();
             if may_shift
                 && shifted < SHIFT_M
@@ -134,6 +144,8 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
                 configuration.translation -= away * STEP_M;
                 shifted += STEP_M;
             }
+            let step = feel.safe_step();
+            travelled += step;
             if !move_by(configuration, step) {
                 break;
             }
@@ -158,8 +170,10 @@ fn feel(
 ) -> Feel {
     scratch.kinematics.forward(objective.model, configuration);
     let kinematics = &scratch.kinematics;
+    let deepest = DEEPEST_VOXELS * objective.obstacles.grid.voxel_m();
     let mut touching = Vector3::zeros();
-    let gaps = closer
+    let mut over = f64::NEG_INFINITY;
+    let gaps: Vec<f64> = closer
         .fingers
         .iter()
         .map(|candidates| {
@@ -176,19 +190,26 @@ fn feel(
             if least <= TOUCH_M {
                 touching += normal;
             }
+            over = over.max(-least - deepest);
             least
         })
         .collect();
-    let mut depth = f64::NEG_INFINITY;
-    for &i in &closer.spheres {
+    let center = |i: usize| {
         let s = &objective.model.spheres[i];
-        let center = kinematics.point(s.body, &s.center);
-        depth = depth.max(s.radius - objective.obstacles.scene(&center).0);
+        (kinematics.point(s.body, &s.center), s.radius)
+    };
+    for &i in &closer.spheres {
+        let (center, radius) = center(i);
+        over = over.max(radius - objective.obstacles.scene(&center).0 - deepest);
         if let Some(table) = objective.obstacles.table_m {
-            depth = depth.max(s.radius - (center.z - table) + DEEPEST_M);
+            over = over.max(radius - (center.z - table));
         }
     }
-    Feel { gaps, depth, touching }
+    for &(a, b) in &closer.pairs {
+        let ((a, radius_a), (b, radius_b)) = (center(a), center(b));
+        over = over.max(radius_a + radius_b - (a - b).norm() - OVERLAP_M);
+    }
+    Feel { gaps, over, touching }
 }
 
 /// Coordinates opened by `share` of the way from contact to the open posture; coordinates that do not

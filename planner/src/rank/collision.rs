@@ -5,8 +5,8 @@ use nalgebra::Vector3;
 use crate::configuration::Configuration;
 use crate::objective::{Objective, Obstacles, Scratch};
 
-/// Spheres may be this deep in voxels of the scene: one voxel, the resolution of what was seen.
-pub(crate) const SCENE_TOLERANCE_M: f64 = 0.005;
+/// Spheres may be this deep in the scene, voxels: the resolution of what was seen.
+pub(crate) const SCENE_TOLERANCE_VOXELS: f64 = 1.0;
 /// Spheres may be this deep in the table, metres.
 pub(crate) const TABLE_TOLERANCE_M: f64 = 0.002;
 /// Spheres of different fingers may overlap by this much, metres.
@@ -39,6 +39,7 @@ pub(crate) fn depths(
     scratch.kinematics.forward(model, configuration);
     objective.place_spheres(scratch);
     let never = f64::NEG_INFINITY;
+    let tolerance = SCENE_TOLERANCE_VOXELS * objective.obstacles.grid.voxel_m();
     let mut all = Depths {
         scene: never,
         table: never,
@@ -51,7 +52,7 @@ pub(crate) fn depths(
     for (s, center) in model.spheres.iter().zip(&scratch.centers) {
         let scene = s.radius - objective.obstacles.scene(center).0;
         all.scene = all.scene.max(scene);
-        deep[s.body] |= scene > SCENE_TOLERANCE_M;
+        deep[s.body] |= scene > tolerance;
         let mut worst = scene;
         if let Some(table) = objective.obstacles.table_m {
             let into = s.radius - (center.z - table);
@@ -79,36 +80,53 @@ pub(crate) fn depths(
     all
 }
 
-/// The worst of the straight approach: from `back` metres before the grasp to the grasp, hand open.
-///
-/// Returns the largest depth in anything (metres, negative is room).
-pub(crate) fn approach_depth(
+/// What the straight approach meets, metres.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Approach {
+    /// Largest depth beyond the tolerances in anything; negative is room.
+    pub(crate) depth: f64,
+    /// Room around the parts of the hand that do not touch at the grasp.
+    pub(crate) room: f64,
+}
+
+/// Checks the straight approach: from `back` metres before the grasp to the grasp, hand open.
+pub(crate) fn approach(
     objective: &Objective<'_>,
     grasp: &Configuration,
     open: &[f64],
     back: f64,
+    touching: &[bool],
     scratch: &mut Scratch,
-) -> f64 {
+) -> Approach {
     let mut moving = grasp.clone();
     moving.coordinates.copy_from_slice(open);
     let axis: Vector3<f64> = grasp.rotation * objective.model.approach;
     let steps = (back / APPROACH_STEP_M).ceil().max(1.0) as usize;
-    let mut worst = f64::NEG_INFINITY;
+    let tolerance = SCENE_TOLERANCE_VOXELS * objective.obstacles.grid.voxel_m();
+    let mut met = Approach { depth: f64::NEG_INFINITY, room: f64::INFINITY };
     for k in 0..=steps {
         let along = back * k as f64 / steps as f64;
         moving.translation = grasp.translation - axis * along;
         scratch.kinematics.forward(objective.model, &moving);
         objective.place_spheres(scratch);
         for (s, center) in objective.model.spheres.iter().zip(&scratch.centers) {
-            let mut into = s.radius - objective.obstacles.scene(center).0 - SCENE_TOLERANCE_M;
+            let scene = s.radius - objective.obstacles.scene(center).0;
+            let (mut depth, mut into) = (scene - tolerance, scene);
             if let Some(table) = objective.obstacles.table_m {
-                into = into.max(s.radius - (center.z - table) - TABLE_TOLERANCE_M);
+                let table = s.radius - (center.z - table);
+                depth = depth.max(table - TABLE_TOLERANCE_M);
+                into = into.max(table);
             }
             for (pose, half) in &objective.obstacles.boxes {
-                into = into.max(s.radius - Obstacles::keep_out(pose, half, center).0);
+                let inside = s.radius - Obstacles::keep_out(pose, half, center).0;
+                depth = depth.max(inside);
+                into = into.max(inside);
             }
-            worst = worst.max(into);
+            met.depth = met.depth.max(depth);
+            if !touching[s.body] {
+                met.room = met.room.min(-into);
+            }
         }
     }
-    worst
+    met
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Point3, Translation3, Unit, Vector3};
 
-use super::collision::{self, SCENE_TOLERANCE_M, SELF_TOLERANCE_M, TABLE_TOLERANCE_M};
+use super::collision::{self, SCENE_TOLERANCE_VOXELS, SELF_TOLERANCE_M, TABLE_TOLERANCE_M};
 use super::force_closure::{self, Directions, Push};
 use super::{closing, score};
 use crate::configuration::Configuration;
@@ -14,10 +14,11 @@ use crate::objective::{Objective, Scratch};
 use crate::optimize::Candidate;
 use crate::options::{PlanOptions, Target};
 use crate::orientation::Allowed;
+use crate::refine::CenteredCentroid;
 use crate::scene::Scene;
 
-/// A candidate this close to the scene's surface is a contact, metres: one and a half voxels.
-const CONTACT_M: f64 = 0.0075;
+/// A candidate this close to the scene's surface is a contact, voxels.
+const CONTACT_VOXELS: f64 = 1.5;
 /// Smallest cosine between a pad's normal and the inward direction that makes a contact.
 const ALIGNED: f64 = 0.2;
 /// Smallest force-closure margin.
@@ -36,7 +37,7 @@ pub(crate) struct Rejection {
 }
 
 impl Rejection {
-    fn new(reason: RejectReason, by_m: f64) -> Self {
+    pub(crate) fn new(reason: RejectReason, by_m: f64) -> Self {
         Self { reason, by_m }
     }
 }
@@ -75,7 +76,9 @@ impl Judge<'_> {
         }
         let mut at = candidate.best.clone();
         closing::close(self.objective, &mut at, scratch);
-        self.objective.look(&at, scratch);
+        // The objective of what is returned: closing has moved the fingers since the last iteration.
+        let mut unused = vec![0.0; 6 + model.coordinate_count];
+        let terms = self.objective.evaluate(&at, &candidate.reaching, true, scratch, &mut unused);
         let mean = scratch.contacts.mean();
         let size = self.scene.workspace.grid.size_m;
         if mean.iter().any(|v| !(0.0..=size).contains(v)) {
@@ -86,16 +89,18 @@ impl Judge<'_> {
         }
         let touches = self.of_one_object(self.touches(scratch));
         let center = middle(&touches).unwrap_or(mean);
-        let (centroid, label) = self.nearest_object(&center);
+        let centroid = self.nearest_centroid(&center);
+        let label = self.touched_label(&touches);
         if !self.is_target(&centroid, label) {
             return Err(Rejection::new(R::NotTarget, 0.0));
         }
         let touching = touching_bodies(model, &touches);
         let depths = collision::depths(self.objective, &at, &touching, scratch);
-        if depths.scene > SCENE_TOLERANCE_M {
+        let tolerance = SCENE_TOLERANCE_VOXELS * self.scene.workspace.grid.voxel_m();
+        if depths.scene > tolerance {
             let wide = depths.fingers_in_scene >= 2 && is_fully_open(model, &at);
             let reason = if wide { R::TooWide } else { R::CollisionScene };
-            return Err(Rejection::new(reason, depths.scene - SCENE_TOLERANCE_M));
+            return Err(Rejection::new(reason, depths.scene - tolerance));
         }
         if depths.table > TABLE_TOLERANCE_M {
             return Err(Rejection::new(R::CollisionTable, depths.table - TABLE_TOLERANCE_M));
@@ -110,7 +115,9 @@ impl Judge<'_> {
             return Err(Rejection::new(R::NoContact, 0.0));
         }
         let back = self.options.pregrasp_offset_m.max(0.0);
-        let open = self.clear_opening(&at, back, scratch)?;
+        let (open, room_on_the_way) = self.clear_opening(&at, back, &touching, scratch)?;
+        // A hand all of whose parts touch has no room that could be measured: finite all the same.
+        let room = depths.room.min(room_on_the_way).min(size);
         let arms: Vec<Push> =
             touches.iter().map(|t| Push { arm: t.point - center, inward: t.inward.into_inner() }).collect();
         let length = arms.iter().map(|p| p.arm.norm()).fold(0.01, f64::max);
@@ -119,12 +126,12 @@ impl Judge<'_> {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
         }
         let certainty = touches.iter().map(|t| t.certainty).sum::<f64>() / touches.len() as f64;
-        let parts = score::parts(candidate.terms.total, epsilon, depths.room, certainty);
+        let parts = score::parts(terms.total, epsilon, room, certainty);
         let total = score::total(&parts);
         if total < self.options.min_score {
             return Err(Rejection::new(R::LowScore, 0.0));
         }
-        let figures = Figures { open, epsilon, room: depths.room, terms: candidate.terms, centroid, label };
+        let figures = Figures { open, epsilon, room, terms, centroid, label };
         Ok(self.grasp(&at, &touches, &figures, parts, total, back))
     }
 
@@ -132,10 +139,11 @@ impl Judge<'_> {
     fn touches(&self, scratch: &Scratch) -> Vec<Touch> {
         let contacts = &scratch.contacts;
         let hand = self.objective.model.hand;
+        let reach = CONTACT_VOXELS * self.scene.workspace.grid.voxel_m();
         (0..contacts.len())
             .filter_map(|i| {
                 let (gap, slope) = self.objective.obstacles.scene(&contacts.point[i]);
-                if gap > CONTACT_M {
+                if gap > reach {
                     return None;
                 }
                 let look = &contacts.look[i];
@@ -174,27 +182,45 @@ impl Judge<'_> {
 
     /// The object behind a surface point: the first group met on the way in; 0 where there is none.
     fn object_behind(&self, surface: &Vector3<f64>, inward: &Vector3<f64>) -> u16 {
+        let objects = &self.scene.objects;
+        self.behind(surface, inward, |i| (objects[i] > 0).then_some(objects[i])).unwrap_or(0)
+    }
+
+    /// The first answer that a voxel on the way in from a surface point gives, within two voxels.
+    fn behind<T>(
+        &self,
+        surface: &Vector3<f64>,
+        inward: &Vector3<f64>,
+        ask: impl Fn(usize) -> Option<T>,
+    ) -> Option<T> {
         let grid = self.scene.workspace.grid;
         let voxel_m = grid.voxel_m();
         let within = |p: &Vector3<f64>| p.iter().all(|&v| (0.0..grid.size_m).contains(&v));
-        (0..5)
-            .map(|k| surface + inward * (f64::from(k) * 0.5 * voxel_m))
-            .filter(within)
-            .map(|p| {
-                let [x, y, z] = [p.x, p.y, p.z].map(|v| ((v / voxel_m) as usize).min(grid.resolution - 1));
-                self.scene.objects[grid.index(x, y, z)]
-            })
-            .find(|&object| object > 0)
-            .unwrap_or(0)
+        (0..5).map(|k| surface + inward * (f64::from(k) * 0.5 * voxel_m)).filter(within).find_map(|p| {
+            let [x, y, z] = [p.x, p.y, p.z].map(|v| ((v / voxel_m) as usize).min(grid.resolution - 1));
+            ask(grid.index(x, y, z))
+        })
     }
 
-    /// The centred centroid nearest to the middle of the contacts, volume frame, and its label.
-    fn nearest_object(&self, center: &Vector3<f64>) -> (Point3<f64>, Option<u8>) {
-        let nearest = self.objective.centroids.iter().min_by(|a, b| {
-            let d = |c: &crate::refine::CenteredCentroid| (c.position.coords - center).norm_squared();
-            d(a).total_cmp(&d(b))
-        });
-        nearest.map_or((Point3::from(*center), None), |c| (c.position, c.label))
+    /// The centred centroid nearest to the middle of the contacts, of all that the scene has, volume frame.
+    fn nearest_centroid(&self, center: &Vector3<f64>) -> Point3<f64> {
+        let apart = |c: &CenteredCentroid| (c.position.coords - center).norm_squared();
+        let all = &self.scene.features.centroids;
+        let nearest = all.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
+        nearest.map_or(Point3::from(*center), |c| c.position)
+    }
+
+    /// The label that most touched points have behind them, where the frames had labels.
+    fn touched_label(&self, touches: &[Touch]) -> Option<u8> {
+        let labels = self.scene.volume.voxel_labels()?;
+        let mut counts = BTreeMap::new();
+        for t in touches {
+            let behind = self.behind(&t.point, &t.inward, |i| (labels[i] > 0).then_some(labels[i]));
+            if let Some(label) = behind {
+                *counts.entry(label).or_insert(0usize) += 1;
+            }
+        }
+        counts.into_iter().max_by(|a, b| a.1.cmp(&b.1).then(b.0.cmp(&a.0))).map(|(label, _)| label)
     }
 
     fn is_target(&self, centroid: &Point3<f64>, label: Option<u8>) -> bool {
@@ -208,21 +234,22 @@ impl Judge<'_> {
         }
     }
 
-    /// Coordinates of the widest opening with which the straight approach is free.
+    /// Coordinates of the widest opening with which the straight approach is free, and the room on the way.
     fn clear_opening(
         &self,
         at: &Configuration,
         back: f64,
+        touching: &[bool],
         scratch: &mut Scratch,
-    ) -> Result<Vec<f64>, Rejection> {
+    ) -> Result<(Vec<f64>, f64), Rejection> {
         let mut least = f64::INFINITY;
         for share in OPENINGS {
             let open = closing::opened(self.objective.model, &at.coordinates, share);
-            let depth = collision::approach_depth(self.objective, at, &open, back, scratch);
-            if depth <= 0.0 {
-                return Ok(open);
+            let met = collision::approach(self.objective, at, &open, back, touching, scratch);
+            if met.depth <= 0.0 {
+                return Ok((open, met.room));
             }
-            least = least.min(depth);
+            least = least.min(met.depth);
         }
         Err(Rejection::new(RejectReason::ApproachBlocked, least))
     }

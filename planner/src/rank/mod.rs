@@ -17,6 +17,7 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
+use crate::budget::{Budget, Stop};
 use crate::grasp::{Grasp, RejectReason};
 use crate::objective::Scratch;
 use crate::optimize::Candidate;
@@ -32,17 +33,44 @@ pub(crate) struct Ranking {
     pub(crate) rejections: Vec<Rejection>,
 }
 
-/// Judges all candidates in parallel, sorts, suppresses duplicates, and cuts to what was asked for.
-pub(crate) fn rank(judge: &Judge<'_>, candidates: &[Candidate]) -> Ranking {
+/// Judged whatever the budget says, of the candidates with the lowest objectives: an answer in time is worth
+/// little without a look at the best.
+const ALWAYS_JUDGED: usize = 24;
+
+/// Judges candidates in parallel, lowest objective first, sorts, suppresses duplicates, and cuts to what was
+/// asked for. At most `most` candidates are judged, and only the first few once the budget has ended; the
+/// others count as unfinished. None is judged for a cancelled call.
+pub(crate) fn rank(judge: &Judge<'_>, candidates: &[Candidate], most: usize, budget: &dyn Budget) -> Ranking {
     let model = judge.objective.model;
-    let judged: Vec<Result<Grasp, Rejection>> = candidates
-        .par_iter()
-        .map_init(|| Scratch::new(model), |scratch, candidate| judge.judge(candidate, scratch))
+    let mut order: Vec<usize> = (0..candidates.len()).collect();
+    order.sort_by(|&a, &b| candidates[a].terms.total.total_cmp(&candidates[b].terms.total).then(a.cmp(&b)));
+    let unfinished = || Err(Rejection::new(RejectReason::Unfinished, 0.0));
+    let mut judged: Vec<(usize, Result<Grasp, Rejection>)> = order
+        .into_par_iter()
+        .enumerate()
+        .with_max_len(4)
+        .map_init(
+            || Scratch::new(model),
+            |scratch, (place, index)| {
+                let skip = match budget.stop() {
+                    Some(Stop::Cancelled) => true,
+                    Some(Stop::Deadline) => place >= ALWAYS_JUDGED,
+                    None => false,
+                };
+                let result = if skip || place >= most {
+                    unfinished()
+                } else {
+                    judge.judge(&candidates[index], scratch)
+                };
+                (index, result)
+            },
+        )
         .collect();
+    judged.sort_by_key(|(index, _)| *index);
     let mut rejected = BTreeMap::new();
     let mut rejections = Vec::new();
     let mut kept: Vec<(usize, Grasp)> = Vec::new();
-    for (index, result) in judged.into_iter().enumerate() {
+    for (index, result) in judged {
         match result {
             Ok(grasp) => kept.push((index, grasp)),
             Err(rejection) => {

@@ -96,31 +96,40 @@ pub(crate) fn all_rejected(
     let reason =
         if 10 * collisions >= 9 * total { EmptyReason::HandTooLarge } else { EmptyReason::AllRejected };
     let head = format!("{count} of {total} candidates: {}", most.as_str());
+    let by_mm = by * 1e3;
+    let span = objective.model.hand.opening.map_or_else(String::new, |o| {
+        let pair = narrowest.map_or_else(String::new, |n| format!(", narrowest contact pair {n:.3} m"));
+        format!("; opens from {:.3} m to {:.3} m{pair}", o.min_m, o.max_m)
+    });
     let tail = match most {
-        RejectReason::CollisionScene | RejectReason::TooWide => match (opening, narrowest) {
-            (Some(widest), Some(narrowest)) => format!(
-                "; the nearest is {by:.3} m too deep in the scene; widest opening {widest:.3} m, narrowest contact pair {narrowest:.3} m"
-            ),
-            _ => format!("; the nearest is {by:.3} m too deep in the scene"),
-        },
+        RejectReason::CollisionScene | RejectReason::TooWide => {
+            format!("; the nearest is {by_mm:.1} mm too deep in the scene{span}")
+        }
         RejectReason::CollisionTable => format!(
-            "; the nearest is {by:.3} m too deep in the table: try a steeper reaching direction or a smaller hand"
+            "; the nearest is {by_mm:.1} mm too deep in the table: try a steeper reaching direction or a smaller hand"
         ),
+        RejectReason::CollisionSelf => {
+            format!("; the nearest overlaps itself by {by_mm:.1} mm too much: raise the batch{span}")
+        }
         RejectReason::ApproachBlocked => format!(
-            "; the nearest approach is blocked by {by:.3} m: allow another reaching direction or a shorter pre-grasp offset than {:.3} m",
+            "; the nearest approach is blocked by {by_mm:.1} mm: allow another reaching direction or a shorter \
+             pre-grasp offset than {:.3} m",
             options.pregrasp_offset_m
         ),
-        RejectReason::KeepOut => format!("; the nearest is {by:.3} m inside a keep-out box"),
+        RejectReason::KeepOut => format!("; the nearest is {by_mm:.1} mm inside a keep-out box"),
         RejectReason::NoForceClosure => {
             format!("; friction is {:.2}: allow more, or a wider cone of orientations", options.friction)
         }
         RejectReason::NoContact => {
-            "; fewer than two fingers reach a contact: raise the batch, or use a larger hand".into()
+            format!(
+                "; fewer than two fingers reach one object: raise the batch or allow other directions{span}"
+            )
         }
-        RejectReason::NotTarget => "; the target is not where grasps are found: raise the batch".into(),
+        RejectReason::NotTarget => "; others are nearer at hand than the target: raise the batch".into(),
         RejectReason::OutOfWorkspace => "; contacts lie at the border of the workspace: move it".into(),
         RejectReason::LowScore => format!("; min_score is {:.2}", options.min_score),
         RejectReason::OrientationLimit => "; widen the allowed orientations".into(),
+        RejectReason::Unfinished => "; the budget ended first: allow more time or a smaller batch".into(),
         _ => String::new(),
     };
     NoGrasp { reason, nearest_fix: head + &tail }

@@ -11,6 +11,7 @@ mod solid;
 pub use solid::MIN_OBJECT_VOXELS;
 
 use crate::grid::Grid;
+use crate::options::VolumeKind;
 
 /// Truncation of the signed distance, voxels (the reference implementation's dataset uses 8).
 pub const TRUNCATION_VOXELS: f64 = 8.0;
@@ -38,6 +39,8 @@ pub enum VoxelState {
 pub struct Volume {
     /// The grid, in the volume frame.
     pub grid: Grid,
+    /// Which of the paper's two kinds of volume this is read as; decides what is [`solid`](Volume::solid).
+    pub kind: VolumeKind,
     /// What is known of each voxel, memory order.
     pub state: Vec<VoxelState>,
     /// Height of the table top, metres along z.
@@ -66,6 +69,7 @@ impl Volume {
         let n = grid.len();
         Self {
             grid,
+            kind: VolumeKind::default(),
             state: vec![VoxelState::Unseen; n],
             table_m,
             tsdf: vec![0.0; n],

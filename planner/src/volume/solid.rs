@@ -4,17 +4,19 @@
 //! and stays its input. As collision geometry it would forbid every finger behind an object, because the
 //! shadow of an object seen from one side reaches to the volume's wall. Objects rest on the table, so here the
 //! unseen below an observed surface, in the same column, belongs to the object; the rest of the shadow is
-//! unknown, not solid.
+//! unknown, not solid. A caller who wants the cautious reading asks for an occupancy volume.
 
 use rayon::prelude::*;
 
 use super::{Volume, VoxelState};
+use crate::options::VolumeKind;
 
 /// Groups of connected object voxels smaller than this are sensor noise.
 pub const MIN_OBJECT_VOXELS: usize = 20;
 
 impl Volume {
-    /// Solid voxels, memory order: observed surfaces, unseen voxels below an observed object surface in the same
+    /// Solid voxels, memory order. Of an occupancy volume everything that was not seen to be free, as the paper's
+    /// "Voxel" has it. Of a TSDF: observed surfaces, unseen voxels below an observed object surface in the same
     /// column down to the table (or to the first voxel seen to be free), unseen gaps of one or two voxels
     /// between such voxels along x or y, and everything below the table top.
     pub fn solid(&self) -> Vec<bool> {
@@ -22,6 +24,12 @@ impl Volume {
         let floor = self.table_layer();
         let mut solid = vec![false; self.grid.len()];
         if n == 0 {
+            return solid;
+        }
+        if self.kind == VolumeKind::Occupancy {
+            for (i, (solid, state)) in solid.iter_mut().zip(&self.state).enumerate() {
+                *solid = i % n < floor || *state != VoxelState::Free;
+            }
             return solid;
         }
         solid.par_chunks_mut(n).zip(self.state.par_chunks(n)).for_each(|(solid, state)| {
