@@ -126,13 +126,20 @@ impl Judge<'_> {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
         }
         let certainty = touches.iter().map(|t| t.certainty).sum::<f64>() / touches.len() as f64;
-        let parts = score::parts(terms.total, epsilon, room, certainty);
+        let parts = score::parts(self.contact_objective(&terms), epsilon, room, certainty);
         let total = score::total(&parts);
         if total < self.options.min_score {
             return Err(Rejection::new(R::LowScore, 0.0));
         }
         let figures = Figures { open, epsilon, room, terms, centroid, label };
         Ok(self.grasp(&at, &touches, &figures, parts, total, back))
+    }
+
+    /// The objective without what closing does on purpose: pads press into the surface (collision has its own
+    /// check) and adaptive joints leave their preference to follow the object.
+    fn contact_objective(&self, terms: &ObjectiveTerms) -> f64 {
+        let w = &self.objective.weights;
+        terms.total - w.penetration * terms.penetration - w.coupling * terms.coupling
     }
 
     /// Candidates that touch: near the surface and facing it.
