@@ -5,6 +5,7 @@
 
 mod bad_input;
 mod deadlines;
+mod frames;
 mod hands;
 mod lifecycle;
 mod planning;
