@@ -115,6 +115,11 @@ impl CallBudget {
         Self { deadline, ..self.clone() }
     }
 
+    /// When the call arrived.
+    pub fn start(&self) -> Instant {
+        self.start
+    }
+
     /// When work has to end.
     pub fn deadline(&self) -> Option<Instant> {
         self.deadline

@@ -15,7 +15,7 @@ use crate::convert::{HandJob, PlanContext, SceneRequest, out_of_time_response, p
 use crate::deadline::{CallBudget, CallClock, Overrun};
 use crate::error::{FieldError, FieldReason, ServiceError};
 use crate::estimators::Estimators;
-use crate::pool::{Pool, PoolError, Ticket};
+use crate::pool::{Pool, PoolError, SceneRoom, Ticket};
 use crate::registry::Registry;
 
 /// What every call shares.
@@ -65,12 +65,15 @@ impl Task {
 }
 
 /// A scene and how long it took.
+#[derive(Debug)]
 pub(crate) struct ReadScene {
     scene: Scene,
     /// Stages before those that the scene itself has timed.
     stages: Vec<(&'static str, Duration)>,
     invalid_pixels: usize,
     queued: Duration,
+    /// Given back when the last job of the call lets go of the scene.
+    _room: SceneRoom,
 }
 
 impl Engine {
@@ -103,11 +106,12 @@ impl Engine {
         let (job_call, job_task) = (call.clone(), task.clone());
         let budget = call.budget.within(task.job.budget);
         let job_budget = budget.clone();
-        let ticket =
-            self.pool.submit(&budget, move |queued| match job_call.read_scene(&job_budget, queued) {
+        let ticket = self.pool.submit_scene(&budget, call.scene.room(), move |queued, room| {
+            match job_call.read_scene(&job_budget, queued, room) {
                 Ok(read) => job_call.plan(&read, Duration::ZERO, &job_task, &job_budget, on_better),
                 Err(error) => job_call.without_scene(error, &job_task),
-            });
+            }
+        });
         ticket.map_err(|e| call.pool_error(&e))
     }
 
@@ -121,8 +125,9 @@ impl Engine {
         let longest = tasks.iter().map(|t| t.job.budget).reduce(|a, b| Some(a?.max(b?))).flatten();
         let budget = call.budget.within(longest);
         let (job_call, job_budget) = (call.clone(), budget.clone());
-        let ticket =
-            self.pool.submit(&budget, move |queued| job_call.read_scene(&job_budget, queued).map(Arc::new));
+        let ticket = self.pool.submit_scene(&budget, call.scene.room(), move |queued, room| {
+            job_call.read_scene(&job_budget, queued, room).map(Arc::new)
+        });
         ticket.map_err(|e| call.pool_error(&e))
     }
 
@@ -211,26 +216,24 @@ impl Call {
     }
 
     /// Decodes the frames and prepares the scene; on a planning thread.
-    fn read_scene(&self, budget: &CallBudget, queued: Duration) -> Result<ReadScene, ServiceError> {
+    fn read_scene(
+        &self,
+        budget: &CallBudget,
+        queued: Duration,
+        room: SceneRoom,
+    ) -> Result<ReadScene, ServiceError> {
         let began = Instant::now();
         let mut frames = Vec::with_capacity(self.scene.frames.len());
-        let (mut invalid_pixels, mut pixels) = (0, 0);
+        let mut invalid_pixels = 0;
         for encoded in &self.scene.frames {
             let (frame, invalid) = encoded.decode()?;
             invalid_pixels += invalid;
-            pixels += frame.image.depth_m.len();
-            if pixels > crate::decode::MAX_PIXELS {
-                let expected = format!("at most {} pixels in all frames together", crate::decode::MAX_PIXELS);
-                return Err(
-                    FieldError::new(FieldReason::Image, encoded.path.clone(), "more", expected).into()
-                );
-            }
             frames.push(frame);
         }
         let stages = vec![("decode", began.elapsed())];
         let scene = scene::prepare(&frames, &self.scene.options, self.estimator.as_ref(), budget)
             .map_err(|error| self.scene_error(&error))?;
-        Ok(ReadScene { scene, stages, invalid_pixels, queued })
+        Ok(ReadScene { scene, stages, invalid_pixels, queued, _room: room })
     }
 
     fn scene_error(&self, error: &SceneError) -> ServiceError {
@@ -318,3 +321,6 @@ impl Call {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

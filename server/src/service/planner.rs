@@ -107,6 +107,8 @@ impl PlannerService for PlannerApi {
                     (task.id().to_owned(), answer)
                 });
             }
+            // From here on the scene lives as long as the jobs that need it.
+            drop(read);
             tokio::select! {
                 biased;
                 () = sender.closed() => {}
