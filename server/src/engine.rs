@@ -8,6 +8,7 @@ use graspd_hands::Hand;
 use graspd_planner::budget::{Budget as _, Stop};
 use graspd_planner::estimator::ContactEstimator;
 use graspd_planner::grasp::Plan;
+use graspd_planner::grid::{GridError, MAX_RESOLUTION, MAX_SIZE_M, MIN_RESOLUTION, MIN_SIZE_M};
 use graspd_planner::scene::{self, Scene, SceneError};
 use graspd_proto::v1;
 
@@ -240,12 +241,10 @@ impl Call {
         match error {
             SceneError::Stopped(Stop::Deadline) => self.late("while the scene was read"),
             SceneError::Stopped(Stop::Cancelled) => ServiceError::Cancelled,
-            SceneError::NoFrames => FieldError::missing("frames", "at least one depth frame").into(),
-            SceneError::Frame { index, source } => {
-                let field = self.scene.frames.get(*index).map_or("frames", |f| f.path.as_str());
-                FieldError::new(FieldReason::Image, field, source, "a frame that can be read").into()
+            SceneError::ContactField(_) | SceneError::SolidSize { .. } => {
+                ServiceError::Internal { what: format!("the contact estimator's answer: {error}") }
             }
-            other => FieldError::new(FieldReason::Image, "frames", other, "frames that make a scene").into(),
+            wrong => scene_fault(wrong, &self.scene).into(),
         }
     }
 
@@ -319,6 +318,43 @@ impl Call {
             queued: Duration::ZERO,
             elapsed: self.elapsed(),
         }
+    }
+}
+
+/// The field of a request that does not make a scene. The conversion refuses nearly all of them before.
+fn scene_fault(error: &SceneError, scene: &SceneRequest) -> FieldError {
+    let value = |field: &str, found: &dyn std::fmt::Display, expected: &str| {
+        FieldError::value(scene.field(field), found, expected)
+    };
+    match error {
+        SceneError::NoFrames => FieldError::missing(scene.field("frames"), "at least one depth frame"),
+        SceneError::Frame { index, source } => FieldError::new(
+            FieldReason::Image,
+            scene.field(&format!("frames[{index}]")),
+            source,
+            "a frame that can be read",
+        ),
+        SceneError::MissingPose { index, .. } => FieldError::missing(
+            scene.field(&format!("frames[{index}].camera_pose")),
+            "a pose for each of several frames",
+        ),
+        SceneError::Workspace { field: "table_m", found, expected } => {
+            value("scene_options.workspace.table_height_m", found, expected)
+        }
+        SceneError::Workspace { found, expected, .. } => {
+            value("scene_options.workspace.pose", found, expected)
+        }
+        SceneError::Threshold { field, found } => {
+            value(&format!("scene_options.{field}"), found, "a share from 0 to 1")
+        }
+        SceneError::Grid(GridError::Resolution { found }) => {
+            let expected = format!("{MIN_RESOLUTION} to {MAX_RESOLUTION} voxels");
+            value("scene_options.volume_resolution", found, &expected)
+        }
+        SceneError::Grid(GridError::Size { found }) => {
+            value("scene_options.volume_size_m", found, &format!("{MIN_SIZE_M} to {MAX_SIZE_M}"))
+        }
+        other => value("scene_options", other, "options that make a scene"),
     }
 }
 

@@ -50,12 +50,10 @@ pub(super) fn scene_options(
         None => WorkspaceRequest::Auto,
         Some(placed) => {
             let path = join(path, "workspace");
-            let table = placed.table_height_m;
-            let within = (0.0, grid.size_m);
             WorkspaceRequest::Placed {
                 world_from_volume: pose(placed.pose.as_ref(), &join(&path, "pose"))?,
-                table_m: table
-                    .map(|_| number_within(table, 0.0, within, &join(&path, "table_height_m")))
+                table_m: (placed.table_height_m)
+                    .map(|height| table_height(height, grid.size_m, &join(&path, "table_height_m")))
                     .transpose()?,
             }
         }
@@ -77,6 +75,14 @@ pub(super) fn scene_options(
         )?,
     };
     Ok((options, Some(wire.estimator).filter(|name| !name.is_empty())))
+}
+
+/// A height in the cube: at the very top there would be nothing above the table.
+fn table_height(height_m: f64, size_m: f64, path: &str) -> Result<f64, FieldError> {
+    if (0.0..size_m).contains(&height_m) {
+        return Ok(height_m);
+    }
+    Err(FieldError::value(path, height_m, format!("at least 0 and less than {size_m}, the volume's size")))
 }
 
 fn resolution(wire: i32, path: &str) -> Result<usize, FieldError> {

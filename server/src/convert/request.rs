@@ -19,6 +19,8 @@ const MOST_TASKS: usize = 16;
 /// A checked scene whose pixels are still encoded.
 #[derive(Debug, Clone)]
 pub(crate) struct SceneRequest {
+    /// Where the scene is in the request: empty, or for example `plan`.
+    path: String,
     /// One or several frames of one moment.
     pub(crate) frames: Vec<EncodedFrame>,
     /// How they are read.
@@ -75,7 +77,12 @@ impl SceneRequest {
         check_pixel_count(&frames)?;
         check_one_world(&frames, &frames_path)?;
         let (options, estimator) = scene_options(options, &join(path, "scene_options"))?;
-        Ok(Self { frames, options, estimator })
+        Ok(Self { path: path.to_owned(), frames, options, estimator })
+    }
+
+    /// Full path of a field of the scene.
+    pub(crate) fn field(&self, name: &str) -> String {
+        join(&self.path, name)
     }
 
     /// Name of the optical frame of the first camera.

@@ -194,6 +194,14 @@ fn every_fault_names_its_field_and_kind() {
             "scene_options.workspace.table_height_m",
             Value,
         ),
+        (
+            scene(|s| {
+                // The size itself: nothing would be above the table.
+                s.workspace = Some(v1::WorkspacePlacement { pose: pose(1.0), table_height_m: Some(0.4) })
+            }),
+            "scene_options.workspace.table_height_m",
+            Value,
+        ),
         (scene(|s| s.volume_size_m = Some(0.0)), "scene_options.volume_size_m", Value),
         (scene(|s| s.volume_resolution = 500), "scene_options.volume_resolution", Value),
         (options(|o| o.batch_size = -1), "options.batch_size", Value),

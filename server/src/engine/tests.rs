@@ -141,3 +141,30 @@ async fn a_scene_that_is_held_keeps_its_room() {
     held.push(engine.scene(&third, third_ticket).await.unwrap());
     assert_eq!((engine.pool.scene_room_taken(), engine.pool.waiting()), (2, 0));
 }
+
+#[test]
+fn what_the_planner_refuses_names_its_own_field() {
+    let plan = v1::PlanGraspsRequest {
+        hand: "hands/antipodal".to_owned(),
+        frames: request(1, 0).frames,
+        ..Default::default()
+    };
+    let (scene, _) = convert::plan_grasps(plan, "plan").unwrap();
+    let workspace =
+        |field| SceneError::Workspace { field, found: "1".to_owned(), expected: "less".to_owned() };
+    let cases = [
+        (workspace("table_m"), "plan.scene_options.workspace.table_height_m"),
+        (workspace("world_from_volume"), "plan.scene_options.workspace.pose"),
+        (
+            SceneError::Threshold { field: "focal_contact_threshold", found: 2.0 },
+            "plan.scene_options.focal_contact_threshold",
+        ),
+        (GridError::Resolution { found: 1 }.into(), "plan.scene_options.volume_resolution"),
+        (GridError::Size { found: 0.0 }.into(), "plan.scene_options.volume_size_m"),
+        (SceneError::MissingPose { index: 1, count: 2 }, "plan.frames[1].camera_pose"),
+        (SceneError::NoFrames, "plan.frames"),
+    ];
+    for (error, field) in cases {
+        assert_eq!(scene_fault(&error, &scene).field, field, "{error}");
+    }
+}
