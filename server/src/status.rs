@@ -4,6 +4,7 @@
 
 use std::collections::HashMap;
 
+use graspd_proto::v1;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
@@ -65,6 +66,20 @@ pub fn reason(error: &ServiceError) -> &'static str {
 /// The code of an error.
 pub fn code(error: &ServiceError) -> Code {
     mapping(error).code
+}
+
+/// The error of one task of several, which ends in a message of its own instead of a status.
+pub(crate) fn task_error(error: &ServiceError) -> v1::TaskError {
+    let Mapping { code, reason, details, .. } = mapping(error);
+    let violations = details.bad_request().map_or(&[][..], |bad| &bad.field_violations);
+    v1::TaskError {
+        code: code as i32,
+        message: error.to_string(),
+        reason: reason.to_owned(),
+        field_violations: (violations.iter())
+            .map(|v| v1::FieldViolation { field: v.field.clone(), description: v.description.clone() })
+            .collect(),
+    }
 }
 
 fn mapping(error: &ServiceError) -> Mapping {
@@ -242,6 +257,23 @@ mod tests {
 
         let protected = Status::from(ServiceError::HandProtected { id: "leap".to_owned() });
         assert_eq!(protected.get_details_precondition_failure().unwrap().violations[0].subject, "hands/leap");
+    }
+
+    #[test]
+    fn a_tasks_error_says_what_a_calls_error_says() {
+        for (error, code, reason) in table() {
+            let task = task_error(&error);
+            assert_eq!((task.code, task.reason.as_str()), (code as i32, reason), "{error:?}");
+            assert_eq!(task.message, error.to_string());
+        }
+        let field = task_error(&FieldError::value("tasks[1].options.min_score", 2, "0 to 1").into());
+        assert_eq!(
+            field.field_violations,
+            [v1::FieldViolation {
+                field: "tasks[1].options.min_score".to_owned(),
+                description: "found 2, expected 0 to 1".to_owned()
+            }]
+        );
     }
 
     #[test]

@@ -121,6 +121,39 @@ fn everything_that_is_asked_for_arrives() {
 }
 
 #[test]
+fn a_hand_that_reaches_from_anywhere_tilts_further_unless_told() {
+    let free = |max_tilt_rad: Option<f64>, roll| {
+        let wire = options(|o| {
+            o.reaching = v1::Reaching::Free.into();
+            o.orientation_limits = Some(v1::OrientationLimits { max_tilt_rad, roll });
+        });
+        plan_grasps(wire, "").unwrap().1.options.orientation
+    };
+    let roll = Some(v1::RollRange { min_rad: 0.0, max_rad: 0.5 });
+    assert_eq!(free(None, roll).cone_rad, 1.3);
+    assert_eq!(free(None, roll).roll_rad, Some((0.0, 0.5)));
+    assert_eq!(free(Some(0.2), None).cone_rad, 0.2);
+    let unset = options(|o| o.reaching = v1::Reaching::Free.into());
+    assert_eq!(plan_grasps(unset, "").unwrap().1.options.orientation.cone_rad, 1.3);
+    let top_down = plan_grasps(options(|o| o.trace = true), "").unwrap().1.options;
+    assert_eq!(top_down.orientation.cone_rad, std::f64::consts::FRAC_PI_3);
+}
+
+#[test]
+fn the_lateral_axis_is_across_the_approach() {
+    let hand = graspd_hands::library::hand("antipodal").unwrap();
+    for (approach, lateral) in [
+        (nalgebra::Vector3::z_axis(), vector(1.0, 0.0, 0.0)),
+        (nalgebra::Vector3::x_axis(), vector(0.0, 1.0, 0.0)),
+        (-nalgebra::Vector3::x_axis(), vector(0.0, 1.0, 0.0)),
+    ] {
+        let turned = graspd_hands::Hand { approach, ..hand.clone() };
+        let message = hand_message(&turned, crate::registry::Origin::Library, None);
+        assert_eq!(message.lateral_axis, lateral, "{approach:?}");
+    }
+}
+
+#[test]
 fn every_fault_names_its_field_and_kind() {
     use FieldReason::{Image, Intrinsics, Missing, Pose, Value};
 
