@@ -8,6 +8,7 @@ use graspd_proto::v1;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
+use crate::convert::shortened;
 use crate::error::ServiceError;
 
 /// Domain of every `google.rpc.ErrorInfo` of this server.
@@ -139,6 +140,7 @@ fn mapping(error: &ServiceError) -> Mapping {
         ServiceError::Draining => Mapping::new(Code::Unavailable, "DRAINING"),
         ServiceError::JobPanicked => Mapping::new(Code::Internal, "JOB_PANICKED"),
         ServiceError::Internal { .. } => Mapping::new(Code::Internal, "INTERNAL"),
+        ServiceError::UnknownMethod { .. } => Mapping::new(Code::Unimplemented, "METHOD_NOT_FOUND"),
         ServiceError::MessageTooLarge { found_bytes, limit_bytes } => {
             Mapping::new(Code::ResourceExhausted, "MESSAGE_TOO_LARGE")
                 .with("found_bytes", found_bytes)
@@ -149,6 +151,7 @@ fn mapping(error: &ServiceError) -> Mapping {
 }
 
 /// What tonic itself says before a handler runs, in our words; `None` for a status that is ours already.
+/// A method that does not exist is left to [`unknown_method`], which needs its path.
 pub fn from_transport(status: &Status) -> Option<ServiceError> {
     let message = status.message();
     match status.code() {
@@ -164,6 +167,12 @@ pub fn from_transport(status: &Status) -> Option<ServiceError> {
         }
         _ => None,
     }
+}
+
+/// What tonic says without a word where there is no such method, in our words.
+pub(crate) fn unknown_method(status: &Status, path: &str) -> Option<ServiceError> {
+    (status.code() == Code::Unimplemented && status.message().is_empty())
+        .then(|| ServiceError::UnknownMethod { path: shortened(path) })
 }
 
 #[cfg(test)]
@@ -215,6 +224,7 @@ mod tests {
             (ServiceError::Draining, Code::Unavailable, "DRAINING"),
             (ServiceError::JobPanicked, Code::Internal, "JOB_PANICKED"),
             (ServiceError::Internal { what: text() }, Code::Internal, "INTERNAL"),
+            (ServiceError::UnknownMethod { path: text() }, Code::Unimplemented, "METHOD_NOT_FOUND"),
             (
                 ServiceError::MessageTooLarge { found_bytes: 2, limit_bytes: 1 },
                 Code::ResourceExhausted,
