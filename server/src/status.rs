@@ -151,7 +151,7 @@ fn mapping(error: &ServiceError) -> Mapping {
 }
 
 /// What tonic itself says before a handler runs, in our words; `None` for a status that is ours already.
-/// A method that does not exist is left to [`unknown_method`], which needs its path.
+/// A method that does not exist is left to `unknown_method`, which needs its path.
 pub fn from_transport(status: &Status) -> Option<ServiceError> {
     let message = status.message();
     match status.code() {
