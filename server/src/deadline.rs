@@ -7,6 +7,11 @@ use std::time::{Duration, Instant};
 use graspd_planner::budget::{Budget, Stop};
 use tonic::codegen::http::HeaderMap;
 
+/// At most this much of a call's time is kept back for ranking, encoding and sending.
+const MOST_RESERVE: Duration = Duration::from_millis(250);
+/// A job that is later than this says something about itself, not about the next one.
+const MOST_OVERRUN: Duration = Duration::from_millis(100);
+
 /// When a call arrived and when its caller stops waiting.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CallClock {
@@ -32,9 +37,9 @@ impl CallClock {
     /// waiting. `overrun` is how far jobs have lately run past their end.
     pub(crate) fn planning_deadline(&self, overrun: Duration) -> Option<Instant> {
         let timeout = self.timeout?;
-        let share = (timeout / 10).clamp(Duration::from_millis(10), Duration::from_millis(250));
-        // A caller in a hurry still gets half of its time for planning.
-        let reserve = share.max(overrun * 3 / 2).min(timeout / 2);
+        let share = (timeout / 10).max(Duration::from_millis(10));
+        // However late others were: planning gets most of the time.
+        let reserve = share.max(overrun * 3 / 2).min(MOST_RESERVE).min(timeout / 5);
         self.arrived.checked_add(timeout.saturating_sub(reserve))
     }
 
@@ -47,14 +52,15 @@ impl CallClock {
 }
 
 /// How far jobs run past their end: stopping takes an iteration and a last ranking, and how long those take
-/// depends on the machine and on what else it does. Remembers the worst, and forgets it slowly.
+/// depends on the machine and on what else it does. Remembers the worst up to 100 ms, and forgets it slowly.
 #[derive(Debug, Default)]
 pub(crate) struct Overrun(AtomicU64);
 
 impl Overrun {
     /// A job that was to end at `deadline` has just ended.
     pub(crate) fn observe(&self, deadline: Instant) {
-        let seen = u64::try_from(deadline.elapsed().as_micros()).unwrap_or(u64::MAX);
+        let seen = deadline.elapsed().min(MOST_OVERRUN).as_micros();
+        let seen = u64::try_from(seen).unwrap_or(u64::MAX);
         let remember = |old: u64| Some(seen.max(old - old / 8));
         // The closure never declines, so this cannot fail.
         self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, remember).ok();
@@ -113,6 +119,11 @@ impl CallBudget {
         let own = budget.and_then(|b| self.start.checked_add(b));
         let deadline = [self.deadline, own].into_iter().flatten().min();
         Self { deadline, ..self.clone() }
+    }
+
+    /// When the call arrived.
+    pub fn start(&self) -> Instant {
+        self.start
     }
 
     /// When work has to end.
@@ -193,7 +204,9 @@ mod tests {
             for overrun in [Duration::ZERO, Duration::from_millis(7), Duration::from_secs(5)] {
                 let planning = clock.planning_deadline(overrun).unwrap();
                 assert!(clock.arrived < planning && planning <= answer, "{ms} {overrun:?}");
-                assert!(planning - clock.arrived >= Duration::from_millis(ms) / 2, "{ms} {overrun:?}");
+                let kept_back = Duration::from_millis(ms) - (planning - clock.arrived);
+                assert!(kept_back <= Duration::from_millis(ms) / 5, "{ms} {overrun:?}");
+                assert!(kept_back <= Duration::from_millis(250), "{ms} {overrun:?}");
             }
             assert!(answer < clock.arrived + Duration::from_millis(ms), "{ms}");
         }
@@ -207,6 +220,8 @@ mod tests {
         overrun.observe(past(80));
         let worst = overrun.expected();
         assert!(worst >= Duration::from_millis(80));
+        overrun.observe(past(5000));
+        assert_eq!(overrun.expected(), MOST_OVERRUN, "one job does not tell what others take");
         for _ in 0..60 {
             overrun.observe(past(1));
         }

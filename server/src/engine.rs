@@ -8,6 +8,7 @@ use graspd_hands::Hand;
 use graspd_planner::budget::{Budget as _, Stop};
 use graspd_planner::estimator::ContactEstimator;
 use graspd_planner::grasp::Plan;
+use graspd_planner::grid::{GridError, MAX_RESOLUTION, MAX_SIZE_M, MIN_RESOLUTION, MIN_SIZE_M};
 use graspd_planner::scene::{self, Scene, SceneError};
 use graspd_proto::v1;
 
@@ -15,7 +16,7 @@ use crate::convert::{HandJob, PlanContext, SceneRequest, out_of_time_response, p
 use crate::deadline::{CallBudget, CallClock, Overrun};
 use crate::error::{FieldError, FieldReason, ServiceError};
 use crate::estimators::Estimators;
-use crate::pool::{Pool, PoolError, Ticket};
+use crate::pool::{Pool, PoolError, SceneRoom, Ticket};
 use crate::registry::Registry;
 
 /// What every call shares.
@@ -65,12 +66,15 @@ impl Task {
 }
 
 /// A scene and how long it took.
+#[derive(Debug)]
 pub(crate) struct ReadScene {
     scene: Scene,
     /// Stages before those that the scene itself has timed.
     stages: Vec<(&'static str, Duration)>,
     invalid_pixels: usize,
     queued: Duration,
+    /// Given back when the last job of the call lets go of the scene.
+    _room: SceneRoom,
 }
 
 impl Engine {
@@ -103,11 +107,12 @@ impl Engine {
         let (job_call, job_task) = (call.clone(), task.clone());
         let budget = call.budget.within(task.job.budget);
         let job_budget = budget.clone();
-        let ticket =
-            self.pool.submit(&budget, move |queued| match job_call.read_scene(&job_budget, queued) {
+        let ticket = self.pool.submit_scene(&budget, call.scene.room(), move |queued, room| {
+            match job_call.read_scene(&job_budget, queued, room) {
                 Ok(read) => job_call.plan(&read, Duration::ZERO, &job_task, &job_budget, on_better),
                 Err(error) => job_call.without_scene(error, &job_task),
-            });
+            }
+        });
         ticket.map_err(|e| call.pool_error(&e))
     }
 
@@ -121,8 +126,9 @@ impl Engine {
         let longest = tasks.iter().map(|t| t.job.budget).reduce(|a, b| Some(a?.max(b?))).flatten();
         let budget = call.budget.within(longest);
         let (job_call, job_budget) = (call.clone(), budget.clone());
-        let ticket =
-            self.pool.submit(&budget, move |queued| job_call.read_scene(&job_budget, queued).map(Arc::new));
+        let ticket = self.pool.submit_scene(&budget, call.scene.room(), move |queued, room| {
+            job_call.read_scene(&job_budget, queued, room).map(Arc::new)
+        });
         ticket.map_err(|e| call.pool_error(&e))
     }
 
@@ -211,38 +217,34 @@ impl Call {
     }
 
     /// Decodes the frames and prepares the scene; on a planning thread.
-    fn read_scene(&self, budget: &CallBudget, queued: Duration) -> Result<ReadScene, ServiceError> {
+    fn read_scene(
+        &self,
+        budget: &CallBudget,
+        queued: Duration,
+        room: SceneRoom,
+    ) -> Result<ReadScene, ServiceError> {
         let began = Instant::now();
         let mut frames = Vec::with_capacity(self.scene.frames.len());
-        let (mut invalid_pixels, mut pixels) = (0, 0);
+        let mut invalid_pixels = 0;
         for encoded in &self.scene.frames {
             let (frame, invalid) = encoded.decode()?;
             invalid_pixels += invalid;
-            pixels += frame.image.depth_m.len();
-            if pixels > crate::decode::MAX_PIXELS {
-                let expected = format!("at most {} pixels in all frames together", crate::decode::MAX_PIXELS);
-                return Err(
-                    FieldError::new(FieldReason::Image, encoded.path.clone(), "more", expected).into()
-                );
-            }
             frames.push(frame);
         }
         let stages = vec![("decode", began.elapsed())];
         let scene = scene::prepare(&frames, &self.scene.options, self.estimator.as_ref(), budget)
             .map_err(|error| self.scene_error(&error))?;
-        Ok(ReadScene { scene, stages, invalid_pixels, queued })
+        Ok(ReadScene { scene, stages, invalid_pixels, queued, _room: room })
     }
 
     fn scene_error(&self, error: &SceneError) -> ServiceError {
         match error {
             SceneError::Stopped(Stop::Deadline) => self.late("while the scene was read"),
             SceneError::Stopped(Stop::Cancelled) => ServiceError::Cancelled,
-            SceneError::NoFrames => FieldError::missing("frames", "at least one depth frame").into(),
-            SceneError::Frame { index, source } => {
-                let field = self.scene.frames.get(*index).map_or("frames", |f| f.path.as_str());
-                FieldError::new(FieldReason::Image, field, source, "a frame that can be read").into()
+            SceneError::ContactField(_) | SceneError::SolidSize { .. } => {
+                ServiceError::Internal { what: format!("the contact estimator's answer: {error}") }
             }
-            other => FieldError::new(FieldReason::Image, "frames", other, "frames that make a scene").into(),
+            wrong => scene_fault(wrong, &self.scene).into(),
         }
     }
 
@@ -318,3 +320,43 @@ impl Call {
         }
     }
 }
+
+/// The field of a request that does not make a scene. The conversion refuses nearly all of them before.
+fn scene_fault(error: &SceneError, scene: &SceneRequest) -> FieldError {
+    let value = |field: &str, found: &dyn std::fmt::Display, expected: &str| {
+        FieldError::value(scene.field(field), found, expected)
+    };
+    match error {
+        SceneError::NoFrames => FieldError::missing(scene.field("frames"), "at least one depth frame"),
+        SceneError::Frame { index, source } => FieldError::new(
+            FieldReason::Image,
+            scene.field(&format!("frames[{index}]")),
+            source,
+            "a frame that can be read",
+        ),
+        SceneError::MissingPose { index, .. } => FieldError::missing(
+            scene.field(&format!("frames[{index}].camera_pose")),
+            "a pose for each of several frames",
+        ),
+        SceneError::Workspace { field: "table_m", found, expected } => {
+            value("scene_options.workspace.table_height_m", found, expected)
+        }
+        SceneError::Workspace { found, expected, .. } => {
+            value("scene_options.workspace.pose", found, expected)
+        }
+        SceneError::Threshold { field, found } => {
+            value(&format!("scene_options.{field}"), found, "a share from 0 to 1")
+        }
+        SceneError::Grid(GridError::Resolution { found }) => {
+            let expected = format!("{MIN_RESOLUTION} to {MAX_RESOLUTION} voxels");
+            value("scene_options.volume_resolution", found, &expected)
+        }
+        SceneError::Grid(GridError::Size { found }) => {
+            value("scene_options.volume_size_m", found, &format!("{MIN_SIZE_M} to {MAX_SIZE_M}"))
+        }
+        other => value("scene_options", other, "options that make a scene"),
+    }
+}
+
+#[cfg(test)]
+mod tests;

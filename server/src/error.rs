@@ -168,6 +168,12 @@ pub enum ServiceError {
         /// What.
         what: String,
     },
+    /// There is no such method.
+    #[error("method {path:?}: not found; this server has graspd.v1.PlannerService and graspd.v1.HandService")]
+    UnknownMethod {
+        /// Path of the method as asked for.
+        path: String,
+    },
     /// A message is larger than the server takes.
     #[error(
         "the message has {found_bytes} bytes and this server takes at most {limit_bytes}; {MESSAGE_SIZE_ADVICE}"

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use graspd_planner::estimator::{ContactEstimator, Geometric};
 
-use crate::convert::quoted;
+use crate::convert::shortened;
 use crate::error::ServiceError;
 
 /// Estimators by name; the first is the default.
@@ -40,7 +40,7 @@ impl Estimators {
             Some(name) => self.0.iter().find(|e| e.name() == name),
         };
         found.map(Arc::clone).ok_or_else(|| ServiceError::UnknownEstimator {
-            name: quoted(name.unwrap_or_default()),
+            name: shortened(name.unwrap_or_default()),
             known: self.names().collect::<Vec<_>>().join(", "),
         })
     }
@@ -48,5 +48,17 @@ impl Estimators {
     /// Names, the default's first.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.0.iter().map(|e| e.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_name_is_quoted_once_and_cut() {
+        let error = |name: &str| Estimators::default().get(Some(name)).map(drop).unwrap_err().to_string();
+        assert_eq!(error("unet"), "estimator \"unet\": not found; this server has geometric");
+        assert!(error(&"x".repeat(100_000)).len() < 400);
     }
 }

@@ -5,6 +5,14 @@
 //! queue, ordered by deadline: a long one would only make every answer late. A job whose caller is gone, or
 //! whose deadline has passed, leaves the queue without running. A job that panics answers
 //! [`PoolError::Panicked`]; the slot goes on.
+//!
+//! Scenes are what takes memory, and they outlive the job that reads them. So a job that reads a scene waits
+//! until there is [room](SceneRoom) for it, and jobs that continue a call keep the call's place in the queue:
+//! what has a scene is finished before another scene is read.
+
+mod room;
+
+pub use room::SceneRoom;
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -26,8 +34,11 @@ pub struct PoolConfig {
     pub threads: usize,
     /// Jobs that run at the same time.
     pub slots: usize,
-    /// Jobs that may wait.
+    /// Calls that may wait.
     pub queue: usize,
+    /// Room for scenes that are alive at the same time; a scene of the default size takes 1, and one that
+    /// takes more than there is has all of it for itself.
+    pub scene_room: usize,
 }
 
 impl PoolConfig {
@@ -35,7 +46,7 @@ impl PoolConfig {
     /// time, because the stages of a job do not all use every core.
     pub fn for_cores(cores: usize) -> Self {
         let threads = cores.max(1);
-        Self { threads, slots: threads.min(4), queue: 16 }
+        Self { threads, slots: threads.min(4), queue: 16, scene_room: 3 }
     }
 }
 
@@ -43,9 +54,9 @@ impl PoolConfig {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PoolError {
     /// The queue is full.
-    #[error("{waiting} jobs wait, at most {limit} may")]
+    #[error("{waiting} calls wait, at most {limit} may")]
     Full {
-        /// Jobs that wait.
+        /// Calls that wait.
         waiting: usize,
         /// At most so many.
         limit: usize,
@@ -87,23 +98,38 @@ impl<T> Ticket<T> {
     }
 }
 
-type Run = Box<dyn FnOnce(&rayon::ThreadPool) + Send>;
+/// Gets the room that the job asked for.
+type Run = Box<dyn FnOnce(&rayon::ThreadPool, SceneRoom) + Send>;
 type Refuse = Box<dyn FnOnce(PoolError) + Send>;
 
 struct Job {
     budget: CallBudget,
+    kind: Kind,
     /// Runs the job and answers its ticket.
     run: Run,
     /// Answers its ticket without running it. Shares the ticket with `run`; only one of both is called.
     refuse: Refuse,
 }
 
+/// What a job is to its call.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// The first job of a call, and the room that its scene needs; 0 if it reads none.
+    First { room: usize },
+    /// Continues a call that was admitted.
+    Continuation,
+}
+
+/// Place of a job in the queue: when its call is due, when it arrived, and when the job was queued.
+type Place = (Instant, Instant, u64);
+
 #[derive(Default)]
 struct State {
-    /// By (due time, arrival).
-    waiting: BTreeMap<(Instant, u64), Job>,
-    arrivals: u64,
+    waiting: BTreeMap<Place, Job>,
+    queued: u64,
     running: usize,
+    /// Room that scenes take.
+    room_taken: usize,
     /// Moving average of the time that a job runs, seconds.
     mean_run_s: f64,
     closed: bool,
@@ -156,9 +182,10 @@ impl Pool {
                 .build()
                 .map_err(|e| PoolError::Threads(e.to_string()))?;
             let shared = Arc::clone(&shared);
+            let room_limit = config.scene_room.max(1);
             std::thread::Builder::new()
                 .name(format!("plan-{slot}"))
-                .spawn(move || run_slot(&shared, &rayon))
+                .spawn(move || run_slot(&shared, &rayon, room_limit))
                 .map_err(|e| PoolError::Threads(e.to_string()))?;
         }
         Ok(pool)
@@ -173,10 +200,25 @@ impl Pool {
         T: Send + 'static,
         F: FnOnce(Duration) -> T + Send + 'static,
     {
-        self.enqueue(budget, job, true)
+        self.enqueue(budget, Kind::First { room: 0 }, |queued, _| job(queued))
     }
 
-    /// Queues a job that continues one that was admitted: it may wait even where a new one may not.
+    /// Queues a job that reads a scene. It begins when there is room for the scene, and gets the room: the
+    /// scene is to keep it for as long as it lives.
+    ///
+    /// # Errors
+    /// As [`Pool::submit`].
+    pub fn submit_scene<T, F>(&self, budget: &CallBudget, room: usize, job: F) -> Result<Ticket<T>, PoolError>
+    where
+        T: Send + 'static,
+        F: FnOnce(Duration, SceneRoom) -> T + Send + 'static,
+    {
+        let room = room.min(self.config.scene_room.max(1));
+        self.enqueue(budget, Kind::First { room }, job)
+    }
+
+    /// Queues a job that continues a call that was admitted: it may wait even where a new one may not, and
+    /// has the place in the queue that its call had. How many there are is limited by the room for scenes.
     ///
     /// # Errors
     /// [`PoolError::Closed`] when the pool has ended.
@@ -185,7 +227,7 @@ impl Pool {
         T: Send + 'static,
         F: FnOnce(Duration) -> T + Send + 'static,
     {
-        self.enqueue(budget, job, false)
+        self.enqueue(budget, Kind::Continuation, |queued, _| job(queued))
     }
 
     /// Jobs that wait.
@@ -198,10 +240,17 @@ impl Pool {
         self.shared.lock().running
     }
 
+    /// Room that the scenes take that are alive.
+    pub fn scene_room_taken(&self) -> usize {
+        self.shared.lock().room_taken
+    }
+
     /// Answers and removes every waiting job that was cancelled or whose deadline has passed.
     pub fn drop_dead(&self) {
         let mut dead = Vec::new();
         take_dead(&mut self.shared.lock(), &mut dead);
+        // A job that waited for room may have been in the way of others.
+        self.shared.wake.notify_all();
         dead.into_iter().for_each(refuse_dead);
     }
 
@@ -218,10 +267,10 @@ impl Pool {
         }
     }
 
-    fn enqueue<T, F>(&self, budget: &CallBudget, job: F, limited: bool) -> Result<Ticket<T>, PoolError>
+    fn enqueue<T, F>(&self, budget: &CallBudget, kind: Kind, job: F) -> Result<Ticket<T>, PoolError>
     where
         T: Send + 'static,
-        F: FnOnce(Duration) -> T + Send + 'static,
+        F: FnOnce(Duration, SceneRoom) -> T + Send + 'static,
     {
         let arrived = Instant::now();
         let (sender, receiver) = oneshot::channel();
@@ -239,9 +288,9 @@ impl Pool {
             let answer = answer.clone();
             Box::new(move |error| answer(Err(error)))
         };
-        let run: Run = Box::new(move |rayon| {
+        let run: Run = Box::new(move |rayon, room| {
             let queued = arrived.elapsed();
-            let result = catch_unwind(AssertUnwindSafe(|| rayon.install(|| job(queued))));
+            let result = catch_unwind(AssertUnwindSafe(|| rayon.install(|| job(queued, room))));
             answer(result.map_err(|panic| {
                 let said = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
                 let said = said.or_else(|| panic.downcast_ref::<String>().cloned());
@@ -255,21 +304,23 @@ impl Pool {
         if state.closed {
             return Err(PoolError::Closed);
         }
+        let limited = kind != Kind::Continuation;
         let free_slots = self.config.slots.max(1).saturating_sub(state.running);
-        if limited && state.waiting.len() >= self.config.queue + free_slots {
+        if limited && calls_waiting(&state) >= self.config.queue + free_slots {
             take_dead(&mut state, &mut dead);
         }
-        let waiting = state.waiting.len();
+        let waiting = calls_waiting(&state);
         let result = if limited && waiting >= self.config.queue + free_slots {
-            let rounds = (waiting + 1) as f64 / self.config.slots.max(1) as f64;
+            let rounds = (state.waiting.len() + 1) as f64 / self.config.slots.max(1) as f64;
             let retry_after = Duration::from_secs_f64((state.mean_run_s * rounds).clamp(0.01, 30.0));
             Err(PoolError::Full { waiting, limit: self.config.queue, retry_after })
         } else {
-            let due = budget.deadline().unwrap_or(arrived + PATIENCE);
-            let key = (due, state.arrivals);
-            state.arrivals += 1;
-            let position = state.waiting.range(..key).count();
-            state.waiting.insert(key, Job { budget: budget.clone(), run, refuse });
+            // The place is the call's, not the job's: what continues a call is not overtaken by newer calls.
+            let due = budget.deadline().unwrap_or(budget.start() + PATIENCE);
+            let place = (due, budget.start(), state.queued);
+            state.queued += 1;
+            let position = state.waiting.range(..place).count();
+            state.waiting.insert(place, Job { budget: budget.clone(), kind, run, refuse });
             Ok(Ticket { position, receiver })
         };
         drop(state);
@@ -302,21 +353,51 @@ fn refuse_dead(job: Job) {
     (job.refuse)(error);
 }
 
+/// Calls of which no job has begun.
+fn calls_waiting(state: &State) -> usize {
+    state.waiting.values().filter(|job| job.kind != Kind::Continuation).count()
+}
+
+/// Takes the most urgent job that can begin, and the room for its scene. Where one has to wait for room, no
+/// other scene may overtake it (a large one would wait for ever), but jobs that read none may.
+fn take_next(state: &mut State, room_limit: usize) -> Option<(Job, usize)> {
+    let mut room_left = room_limit.saturating_sub(state.room_taken);
+    let place = state.waiting.iter().find_map(|(place, job)| match job.kind {
+        Kind::First { room } if room > room_left => {
+            room_left = 0;
+            None
+        }
+        _ => Some(*place),
+    })?;
+    let job = state.waiting.remove(&place)?;
+    let room = match job.kind {
+        Kind::First { room } => room,
+        Kind::Continuation => 0,
+    };
+    state.room_taken += room;
+    Some((job, room))
+}
+
 /// The life of a slot: take the most urgent job, run it, until the pool is closed.
-fn run_slot(shared: &Shared, rayon: &rayon::ThreadPool) {
+fn run_slot(shared: &Arc<Shared>, rayon: &rayon::ThreadPool, room_limit: usize) {
     let mut state = shared.lock();
     loop {
-        if let Some((_, job)) = state.waiting.pop_first() {
-            if job.budget.stop().is_some() {
-                drop(state);
-                refuse_dead(job);
-                state = shared.lock();
-                continue;
-            }
+        let mut dead = Vec::new();
+        take_dead(&mut state, &mut dead);
+        if !dead.is_empty() {
+            drop(state);
+            dead.into_iter().for_each(refuse_dead);
+            state = shared.lock();
+            continue;
+        }
+        if let Some((job, room)) = take_next(&mut state, room_limit) {
             state.running += 1;
+            if !state.waiting.is_empty() {
+                shared.wake.notify_one();
+            }
             drop(state);
             let began = Instant::now();
-            (job.run)(rayon);
+            (job.run)(rayon, SceneRoom::new(Arc::clone(shared), room));
             let took = began.elapsed().as_secs_f64();
             state = shared.lock();
             state.running -= 1;

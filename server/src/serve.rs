@@ -28,6 +28,10 @@ const STREAM_WINDOW_BYTES: u32 = 8 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 32 << 20;
 /// Concurrent calls on one connection.
 const STREAMS_PER_CONNECTION: u32 = 64;
+/// A silent connection is asked this often whether anybody is there.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
+/// A connection that does not answer for so long is closed, and its calls are cancelled.
+const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 /// After the grace period, running calls have this long to notice that they were cancelled.
 const ABORT_GRACE: Duration = Duration::from_millis(500);
 
@@ -80,7 +84,7 @@ pub enum ServeError {
         addr: SocketAddr,
     },
     /// The address cannot be bound.
-    #[error("cannot listen on {addr}: {source}")]
+    #[error("cannot listen on {addr}")]
     Bind {
         /// The address.
         addr: SocketAddr,
@@ -88,16 +92,16 @@ pub enum ServeError {
         source: io::Error,
     },
     /// The folder of hands cannot be read.
-    #[error("hands folder: {0}")]
+    #[error("the folder of hands cannot be read")]
     Hands(#[from] FolderError),
     /// The planning threads cannot be started.
     #[error(transparent)]
     Pool(#[from] PoolError),
     /// The transport failed.
-    #[error("transport: {0}")]
+    #[error("the transport failed")]
     Transport(#[from] tonic::transport::Error),
     /// The descriptors for reflection cannot be read.
-    #[error("reflection: {0}")]
+    #[error("the descriptors for reflection cannot be read")]
     Reflection(#[from] tonic_reflection::server::Error),
     /// The thread that reads hands was lost.
     #[error("loading hands: {0}")]
@@ -189,18 +193,22 @@ impl Server {
             .max_decoding_message_size(config.max_message_bytes);
         let (health, health_service) = tonic_health::server::health_reporter();
         set_health(&health, ServingStatus::Serving).await;
-        let reflection = tonic_reflection::server::Builder::configure()
-            .register_encoded_file_descriptor_set(graspd_proto::FILE_DESCRIPTOR_SET)
-            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-            .build_v1()?;
+        let described = || {
+            tonic_reflection::server::Builder::configure()
+                .register_encoded_file_descriptor_set(graspd_proto::FILE_DESCRIPTOR_SET)
+                .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        };
         let router = tonic::transport::Server::builder()
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
             .max_concurrent_streams(STREAMS_PER_CONNECTION)
-            .http2_keepalive_interval(Some(Duration::from_secs(30)))
+            .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
+            .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
             .layer(CallLayer { draining: Arc::clone(&draining) })
             .add_service(health_service)
-            .add_service(reflection)
+            .add_service(described().build_v1()?)
+            // What tools of yesterday ask for.
+            .add_service(described().build_v1alpha()?)
             .add_service(planner)
             .add_service(hands);
         let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));

@@ -4,9 +4,11 @@
 
 use std::collections::HashMap;
 
+use graspd_proto::v1;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
+use crate::convert::shortened;
 use crate::error::ServiceError;
 
 /// Domain of every `google.rpc.ErrorInfo` of this server.
@@ -67,6 +69,20 @@ pub fn code(error: &ServiceError) -> Code {
     mapping(error).code
 }
 
+/// The error of one task of several, which ends in a message of its own instead of a status.
+pub(crate) fn task_error(error: &ServiceError) -> v1::TaskError {
+    let Mapping { code, reason, details, .. } = mapping(error);
+    let violations = details.bad_request().map_or(&[][..], |bad| &bad.field_violations);
+    v1::TaskError {
+        code: code as i32,
+        message: error.to_string(),
+        reason: reason.to_owned(),
+        field_violations: (violations.iter())
+            .map(|v| v1::FieldViolation { field: v.field.clone(), description: v.description.clone() })
+            .collect(),
+    }
+}
+
 fn mapping(error: &ServiceError) -> Mapping {
     match error {
         ServiceError::Field(fault) => Mapping::new(Code::InvalidArgument, fault.reason.as_str())
@@ -124,6 +140,7 @@ fn mapping(error: &ServiceError) -> Mapping {
         ServiceError::Draining => Mapping::new(Code::Unavailable, "DRAINING"),
         ServiceError::JobPanicked => Mapping::new(Code::Internal, "JOB_PANICKED"),
         ServiceError::Internal { .. } => Mapping::new(Code::Internal, "INTERNAL"),
+        ServiceError::UnknownMethod { .. } => Mapping::new(Code::Unimplemented, "METHOD_NOT_FOUND"),
         ServiceError::MessageTooLarge { found_bytes, limit_bytes } => {
             Mapping::new(Code::ResourceExhausted, "MESSAGE_TOO_LARGE")
                 .with("found_bytes", found_bytes)
@@ -134,6 +151,7 @@ fn mapping(error: &ServiceError) -> Mapping {
 }
 
 /// What tonic itself says before a handler runs, in our words; `None` for a status that is ours already.
+/// A method that does not exist is left to `unknown_method`, which needs its path.
 pub fn from_transport(status: &Status) -> Option<ServiceError> {
     let message = status.message();
     match status.code() {
@@ -149,6 +167,12 @@ pub fn from_transport(status: &Status) -> Option<ServiceError> {
         }
         _ => None,
     }
+}
+
+/// What tonic says without a word where there is no such method, in our words.
+pub(crate) fn unknown_method(status: &Status, path: &str) -> Option<ServiceError> {
+    (status.code() == Code::Unimplemented && status.message().is_empty())
+        .then(|| ServiceError::UnknownMethod { path: shortened(path) })
 }
 
 #[cfg(test)]
@@ -200,6 +224,7 @@ mod tests {
             (ServiceError::Draining, Code::Unavailable, "DRAINING"),
             (ServiceError::JobPanicked, Code::Internal, "JOB_PANICKED"),
             (ServiceError::Internal { what: text() }, Code::Internal, "INTERNAL"),
+            (ServiceError::UnknownMethod { path: text() }, Code::Unimplemented, "METHOD_NOT_FOUND"),
             (
                 ServiceError::MessageTooLarge { found_bytes: 2, limit_bytes: 1 },
                 Code::ResourceExhausted,
@@ -242,6 +267,23 @@ mod tests {
 
         let protected = Status::from(ServiceError::HandProtected { id: "leap".to_owned() });
         assert_eq!(protected.get_details_precondition_failure().unwrap().violations[0].subject, "hands/leap");
+    }
+
+    #[test]
+    fn a_tasks_error_says_what_a_calls_error_says() {
+        for (error, code, reason) in table() {
+            let task = task_error(&error);
+            assert_eq!((task.code, task.reason.as_str()), (code as i32, reason), "{error:?}");
+            assert_eq!(task.message, error.to_string());
+        }
+        let field = task_error(&FieldError::value("tasks[1].options.min_score", 2, "0 to 1").into());
+        assert_eq!(
+            field.field_violations,
+            [v1::FieldViolation {
+                field: "tasks[1].options.min_score".to_owned(),
+                description: "found 2, expected 0 to 1".to_owned()
+            }]
+        );
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! Depth frames from the wire: everything but the pixels is checked at once, pixels are decoded later on
-//! a planning thread.
+//! Depth frames from the wire: everything but the pixels is checked at once, announced sizes too; pixels are
+//! decoded later on a planning thread.
 
 use bytes::Bytes;
 use graspd_planner::frame::{Frame, Intrinsics};
@@ -16,7 +16,8 @@ use crate::error::{FieldError, FieldReason};
 pub(crate) struct EncodedFrame {
     /// Where it is in the request, for example `frames[0]`.
     pub(crate) path: String,
-    size: Option<(usize, usize)>,
+    /// Width and height, as the frame or its PNG announces them.
+    size: (usize, usize),
     encoding: DepthEncoding,
     data: Bytes,
     intrinsics: Intrinsics,
@@ -48,9 +49,10 @@ impl EncodedFrame {
         if wire.data.is_empty() {
             return Err(FieldError::missing(join(&path, "data"), "pixels"));
         }
-        decode::check_raw_size(encoding, size, wire.data.len()).map_err(|e| image_fault(e, &path, "data"))?;
+        let size =
+            decode::announced_size(encoding, size, &wire.data).map_err(|e| image_fault(e, &path, "data"))?;
         let intrinsics = intrinsics(wire.intrinsics.as_ref(), &join(&path, "intrinsics"))?;
-        let labels = wire.labels.map(|labels| label_image(labels, &path)).transpose()?;
+        let labels = wire.labels.map(|labels| label_image(labels, size, &path)).transpose()?;
         let (world_from_camera, world_frame_id) = match &wire.camera_pose {
             None => (None, None),
             Some(given) => {
@@ -79,9 +81,14 @@ impl EncodedFrame {
         self.labels.is_some()
     }
 
+    /// Pixels that the depth image will have.
+    pub(crate) fn pixel_count(&self) -> usize {
+        self.size.0 * self.size.1
+    }
+
     /// Decodes the pixels: the frame, and how many pixels were invalid.
     pub(crate) fn decode(&self) -> Result<(Frame, usize), FieldError> {
-        let depth = decode::depth(self.encoding, self.size, &self.data)
+        let depth = decode::depth(self.encoding, Some(self.size), &self.data)
             .map_err(|e| image_fault(e, &self.path, "data"))?;
         let image = depth.image;
         let labels = match &self.labels {
@@ -137,8 +144,12 @@ fn size(
     Ok(Some((side(width, "width_px")?, side(height, "height_px")?)))
 }
 
-fn label_image(wire: v1::LabelImage, path: &str) -> Result<(LabelEncoding, Bytes), FieldError> {
-    let path = join(path, "labels");
+fn label_image(
+    wire: v1::LabelImage,
+    (width, height): (usize, usize),
+    frame_path: &str,
+) -> Result<(LabelEncoding, Bytes), FieldError> {
+    let path = join(frame_path, "labels");
     let encoding = match known_enum(wire.encoding, &join(&path, "encoding"))? {
         v1::LabelEncoding::Unspecified | v1::LabelEncoding::RawU8 => LabelEncoding::RawU8,
         v1::LabelEncoding::PngU8 => LabelEncoding::PngU8,
@@ -146,6 +157,8 @@ fn label_image(wire: v1::LabelImage, path: &str) -> Result<(LabelEncoding, Bytes
     if wire.data.is_empty() {
         return Err(FieldError::missing(join(&path, "data"), "pixels"));
     }
+    decode::check_label_size(encoding, width, height, &wire.data)
+        .map_err(|e| image_fault(e, frame_path, "labels.data"))?;
     Ok((encoding, wire.data))
 }
 

@@ -4,6 +4,7 @@ use std::time::SystemTime;
 
 use graspd_hands::{CoordinateKind, Hand, JointKind};
 use graspd_proto::v1;
+use nalgebra::Vector3;
 
 use super::geometry::vector_message;
 use super::{count_message, quoted};
@@ -47,6 +48,7 @@ pub(crate) fn hand_message(hand: &Hand, origin: Origin, created: Option<SystemTi
         create_time: created.map(prost_types::Timestamp::from),
         wrist_link: link_name(0),
         approach: Some(vector_message(&hand.approach)),
+        lateral_axis: Some(vector_message(&lateral_axis(&hand.approach))),
         tool_point: Some(vector_message(&hand.tool_point.coords)),
         joints: hand.tree.joints.iter().map(joint_message).collect(),
         actuators: (hand.actuation.coordinates.iter())
@@ -63,6 +65,11 @@ pub(crate) fn hand_message(hand: &Hand, origin: Origin, created: Option<SystemTi
         opening: hand.opening.map(|o| v1::Opening { min_m: o.min_m, max_m: o.max_m }),
         warnings: hand.warnings.clone(),
     }
+}
+
+/// The axis from which the protocol measures a roll: x, or y where the hand reaches along x.
+fn lateral_axis(approach: &Vector3<f64>) -> Vector3<f64> {
+    if approach.x.abs() >= 0.9 { Vector3::y() } else { Vector3::x() }
 }
 
 fn joint_message(joint: &graspd_hands::Joint) -> v1::Joint {

@@ -59,12 +59,17 @@ fn known_enum<E: TryFrom<i32>>(value: i32, path: &str) -> Result<E, FieldError> 
 
 /// Text from a caller as it may appear in an error: quoted, and not longer than a line.
 pub(crate) fn quoted(text: &str) -> String {
-    const LONGEST: usize = 80;
-    if text.chars().count() <= LONGEST {
+    let head = shortened(text);
+    if head.len() == text.len() {
         return format!("{text:?}");
     }
-    let head: String = text.chars().take(LONGEST).collect();
     format!("{head:?} and {} more bytes", text.len() - head.len())
+}
+
+/// The beginning of a text from a caller, not longer than a line.
+pub(crate) fn shortened(text: &str) -> String {
+    const LONGEST: usize = 80;
+    text.chars().take(LONGEST).collect()
 }
 
 /// A duration on the wire.

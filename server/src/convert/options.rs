@@ -23,6 +23,8 @@ const MOST_ITERATIONS: i32 = 10_000;
 const VOLUME_SIZE_M: (f64, f64) = (0.1, 2.0);
 /// Smallest and largest number of voxels along an edge: 128 keep a frame's fields under 150 MB.
 const VOLUME_RESOLUTION: (i32, i32) = (16, 128);
+/// Largest tilt from straight down where a hand may reach from any direction and nobody says more, radians.
+const FREE_TILT_RAD: f64 = 1.3;
 /// At most this many grasps.
 const MOST_GRASPS: i32 = 1000;
 
@@ -50,12 +52,10 @@ pub(super) fn scene_options(
         None => WorkspaceRequest::Auto,
         Some(placed) => {
             let path = join(path, "workspace");
-            let table = placed.table_height_m;
-            let within = (0.0, grid.size_m);
             WorkspaceRequest::Placed {
                 world_from_volume: pose(placed.pose.as_ref(), &join(&path, "pose"))?,
-                table_m: table
-                    .map(|_| number_within(table, 0.0, within, &join(&path, "table_height_m")))
+                table_m: (placed.table_height_m)
+                    .map(|height| table_height(height, grid.size_m, &join(&path, "table_height_m")))
                     .transpose()?,
             }
         }
@@ -79,6 +79,14 @@ pub(super) fn scene_options(
     Ok((options, Some(wire.estimator).filter(|name| !name.is_empty())))
 }
 
+/// A height in the cube: at the very top there would be nothing above the table.
+fn table_height(height_m: f64, size_m: f64, path: &str) -> Result<f64, FieldError> {
+    if (0.0..size_m).contains(&height_m) {
+        return Ok(height_m);
+    }
+    Err(FieldError::value(path, height_m, format!("at least 0 and less than {size_m}, the volume's size")))
+}
+
 fn resolution(wire: i32, path: &str) -> Result<usize, FieldError> {
     let (low, high) = VOLUME_RESOLUTION;
     match wire {
@@ -97,6 +105,7 @@ pub(super) fn plan_options(
     let Some(wire) = wire else { return Ok((defaults, None)) };
     let at = |name: &str| join(path, name);
     let reaching = reaching(&wire, path)?;
+    let default_orientation = default_orientation(&reaching);
     let budget = wire.budget.map(|d| budget(d, &at("budget"))).transpose()?;
     let keep_out_count = wire.keep_out_boxes.len();
     if keep_out_count > MOST_KEEP_OUT_BOXES {
@@ -110,9 +119,9 @@ pub(super) fn plan_options(
         batch: count(wire.batch_size, defaults.batch, LARGEST_BATCH, &at("batch_size"))?,
         scheme: wire.scheme.map_or(Ok(defaults.scheme), |s| scheme(s, &at("scheme")))?,
         reaching,
-        orientation: wire
-            .orientation_limits
-            .map_or(Ok(defaults.orientation), |l| orientation(l, &at("orientation_limits")))?,
+        orientation: wire.orientation_limits.map_or(Ok(default_orientation), |l| {
+            orientation(l, default_orientation, &at("orientation_limits"))
+        })?,
         keep_out: (wire.keep_out_boxes.iter().enumerate())
             .map(|(i, b)| keep_out(b, &at(&format!("keep_out_boxes[{i}]"))))
             .collect::<Result<_, _>>()?,
@@ -176,10 +185,22 @@ fn scheme(wire: v1::Scheme, path: &str) -> Result<Scheme, FieldError> {
     })
 }
 
-fn orientation(wire: v1::OrientationLimits, path: &str) -> Result<OrientationLimits, FieldError> {
+/// Limits where the caller names none: a hand that may reach from anywhere may also tilt as far.
+fn default_orientation(reaching: &Reaching) -> OrientationLimits {
+    let defaults = OrientationLimits::default();
+    match reaching {
+        Reaching::Free => OrientationLimits { cone_rad: FREE_TILT_RAD, ..defaults },
+        _ => defaults,
+    }
+}
+
+fn orientation(
+    wire: v1::OrientationLimits,
+    defaults: OrientationLimits,
+    path: &str,
+) -> Result<OrientationLimits, FieldError> {
     use std::f64::consts::{PI, TAU};
 
-    let defaults = OrientationLimits::default();
     let cone_rad =
         number_within(wire.max_tilt_rad, defaults.cone_rad, (0.0, PI), &join(path, "max_tilt_rad"))?;
     let roll_rad = match wire.roll {

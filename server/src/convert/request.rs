@@ -8,7 +8,8 @@ use graspd_proto::v1;
 
 use super::options::{plan_options, scene_options};
 use super::{EncodedFrame, hand_id, join, quoted};
-use crate::error::FieldError;
+use crate::decode::MAX_PIXELS;
+use crate::error::{FieldError, FieldReason};
 
 /// At most this many frames make a scene.
 const MOST_FRAMES: usize = 16;
@@ -18,6 +19,8 @@ const MOST_TASKS: usize = 16;
 /// A checked scene whose pixels are still encoded.
 #[derive(Debug, Clone)]
 pub(crate) struct SceneRequest {
+    /// Where the scene is in the request: empty, or for example `plan`.
+    path: String,
     /// One or several frames of one moment.
     pub(crate) frames: Vec<EncodedFrame>,
     /// How they are read.
@@ -39,7 +42,19 @@ pub(crate) struct HandJob {
     pub(crate) budget: Option<Duration>,
 }
 
+/// Voxels of a scene of the default size: 80 along each edge.
+const VOXELS_OF_A_ROOM: usize = 80 * 80 * 80;
+/// Pixels that take about as much memory while they are read as a scene of the default size.
+const PIXELS_OF_A_ROOM: usize = 2 << 20;
+
 impl SceneRequest {
+    /// Room that the scene takes in memory, in scenes of the default size.
+    pub(crate) fn room(&self) -> usize {
+        let voxels = self.options.grid.len();
+        let pixels: usize = self.frames.iter().map(EncodedFrame::pixel_count).sum();
+        voxels.div_ceil(VOXELS_OF_A_ROOM) + pixels / PIXELS_OF_A_ROOM
+    }
+
     fn parse(
         frames: Vec<v1::DepthFrame>,
         options: Option<v1::SceneOptions>,
@@ -59,9 +74,15 @@ impl SceneRequest {
         let frames = (frames.into_iter().enumerate())
             .map(|(i, frame)| EncodedFrame::parse(frame, format!("{frames_path}[{i}]")))
             .collect::<Result<Vec<_>, _>>()?;
+        check_pixel_count(&frames)?;
         check_one_world(&frames, &frames_path)?;
         let (options, estimator) = scene_options(options, &join(path, "scene_options"))?;
-        Ok(Self { frames, options, estimator })
+        Ok(Self { path: path.to_owned(), frames, options, estimator })
+    }
+
+    /// Full path of a field of the scene.
+    pub(crate) fn field(&self, name: &str) -> String {
+        join(&self.path, name)
     }
 
     /// Name of the optical frame of the first camera.
@@ -81,6 +102,23 @@ impl SceneRequest {
     pub(crate) fn capture_time(&self) -> Option<prost_types::Timestamp> {
         self.frames.first().and_then(|f| f.capture_time)
     }
+}
+
+/// All images together must stay within what one may have.
+fn check_pixel_count(frames: &[EncodedFrame]) -> Result<(), FieldError> {
+    let mut pixel_count = 0;
+    for frame in frames {
+        pixel_count += frame.pixel_count();
+        if pixel_count > MAX_PIXELS {
+            return Err(FieldError::new(
+                FieldReason::Image,
+                frame.path.clone(),
+                format!("{pixel_count} pixels in the frames up to this one"),
+                format!("at most {MAX_PIXELS} pixels in all frames together"),
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// Several frames need poses in one world.

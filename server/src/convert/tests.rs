@@ -121,6 +121,39 @@ fn everything_that_is_asked_for_arrives() {
 }
 
 #[test]
+fn a_hand_that_reaches_from_anywhere_tilts_further_unless_told() {
+    let free = |max_tilt_rad: Option<f64>, roll| {
+        let wire = options(|o| {
+            o.reaching = v1::Reaching::Free.into();
+            o.orientation_limits = Some(v1::OrientationLimits { max_tilt_rad, roll });
+        });
+        plan_grasps(wire, "").unwrap().1.options.orientation
+    };
+    let roll = Some(v1::RollRange { min_rad: 0.0, max_rad: 0.5 });
+    assert_eq!(free(None, roll).cone_rad, 1.3);
+    assert_eq!(free(None, roll).roll_rad, Some((0.0, 0.5)));
+    assert_eq!(free(Some(0.2), None).cone_rad, 0.2);
+    let unset = options(|o| o.reaching = v1::Reaching::Free.into());
+    assert_eq!(plan_grasps(unset, "").unwrap().1.options.orientation.cone_rad, 1.3);
+    let top_down = plan_grasps(options(|o| o.trace = true), "").unwrap().1.options;
+    assert_eq!(top_down.orientation.cone_rad, std::f64::consts::FRAC_PI_3);
+}
+
+#[test]
+fn the_lateral_axis_is_across_the_approach() {
+    let hand = graspd_hands::library::hand("antipodal").unwrap();
+    for (approach, lateral) in [
+        (nalgebra::Vector3::z_axis(), vector(1.0, 0.0, 0.0)),
+        (nalgebra::Vector3::x_axis(), vector(0.0, 1.0, 0.0)),
+        (-nalgebra::Vector3::x_axis(), vector(0.0, 1.0, 0.0)),
+    ] {
+        let turned = graspd_hands::Hand { approach, ..hand.clone() };
+        let message = hand_message(&turned, crate::registry::Origin::Library, None);
+        assert_eq!(message.lateral_axis, lateral, "{approach:?}");
+    }
+}
+
+#[test]
 fn every_fault_names_its_field_and_kind() {
     use FieldReason::{Image, Intrinsics, Missing, Pose, Value};
 
@@ -190,6 +223,14 @@ fn every_fault_names_its_field_and_kind() {
         (
             scene(|s| {
                 s.workspace = Some(v1::WorkspacePlacement { pose: pose(1.0), table_height_m: Some(0.5) })
+            }),
+            "scene_options.workspace.table_height_m",
+            Value,
+        ),
+        (
+            scene(|s| {
+                // The size itself: nothing would be above the table.
+                s.workspace = Some(v1::WorkspacePlacement { pose: pose(1.0), table_height_m: Some(0.4) })
             }),
             "scene_options.workspace.table_height_m",
             Value,
@@ -280,22 +321,79 @@ fn every_fault_names_its_field_and_kind() {
     assert_eq!(nested.field, "plan.hand");
 }
 
+/// A PNG file of zeros; the compression of zeros makes it small.
+fn zeros_png(width: u32, height: u32, depth: ::png::BitDepth) -> Bytes {
+    let mut file = Vec::new();
+    let mut encoder = ::png::Encoder::new(&mut file, width, height);
+    encoder.set_color(::png::ColorType::Grayscale);
+    encoder.set_depth(depth);
+    let bytes = (width * height * if depth == ::png::BitDepth::Sixteen { 2 } else { 1 }) as usize;
+    encoder.write_header().unwrap().write_image_data(&vec![0; bytes]).unwrap();
+    file.into()
+}
+
+fn png_frame(width: u32, height: u32) -> v1::DepthFrame {
+    v1::DepthFrame {
+        encoding: v1::DepthEncoding::PngU16.into(),
+        width_px: 0,
+        height_px: 0,
+        data: zeros_png(width, height, ::png::BitDepth::Sixteen),
+        ..frame()
+    }
+}
+
 #[test]
-fn pixels_are_checked_where_they_are_decoded() {
-    let png = edited(|f| {
-        f.encoding = v1::DepthEncoding::PngU16.into();
-        (f.width_px, f.height_px) = (0, 0);
-        f.data = Bytes::from_static(b"\x89PNG\r\n\x1a\n and no more");
-    });
-    let (scene, _) = plan_grasps(png, "plan").unwrap();
+fn sizes_are_checked_before_anything_is_decoded() {
+    let fault = |frames: Vec<v1::DepthFrame>| {
+        let error = plan_grasps(v1::PlanGraspsRequest { frames, ..request() }, "plan").unwrap_err();
+        assert_eq!(error.reason, FieldReason::Image, "{error}");
+        (error.field.clone(), error.to_string())
+    };
+    let no_png =
+        v1::DepthFrame { data: Bytes::from_static(b"\x89PNG\r\n\x1a\n, no more"), ..png_frame(1, 1) };
+    assert_eq!(fault(vec![no_png]).0, "plan.frames[0].data");
+    // A hundred kilobytes that would become 67 million pixels.
+    let large = fault(vec![png_frame(8192, 8192)]);
+    assert_eq!(large.0, "plan.frames[0].data");
+    assert!(large.1.contains("8192 × 8192 pixels, expected at most 8388608"), "{}", large.1);
+    // Each of them is small enough, all of them are not.
+    let posed = v1::DepthFrame {
+        camera_pose: Some(v1::PoseInFrame { frame_id: String::new(), pose: pose(1.0) }),
+        ..png_frame(2048, 2048)
+    };
+    let many = fault(vec![posed.clone(), posed.clone(), posed.clone()]);
+    assert_eq!(many.0, "plan.frames[2]");
+    assert!(many.1.contains("12582912 pixels"), "{}", many.1);
+    let (scene, _) =
+        plan_grasps(v1::PlanGraspsRequest { frames: vec![posed.clone(), posed], ..request() }, "").unwrap();
+    assert_eq!(scene.room(), 1 + 4);
+
+    let labels = |encoding: v1::LabelEncoding, data: Bytes| v1::DepthFrame {
+        labels: Some(v1::LabelImage { encoding: encoding.into(), data }),
+        ..frame()
+    };
+    let raw = labels(v1::LabelEncoding::RawU8, Bytes::from_static(&[1; 7]));
+    assert_eq!(fault(vec![raw]).0, "plan.frames[0].labels.data");
+    let wider = labels(v1::LabelEncoding::PngU8, zeros_png(5, 2, ::png::BitDepth::Eight));
+    assert_eq!(fault(vec![wider]).0, "plan.frames[0].labels.data");
+}
+
+#[test]
+fn a_header_that_promises_too_much_is_found_where_it_is_decoded() {
+    let mut cut = png_frame(64, 48);
+    cut.data.truncate(40);
+    let (scene, _) = plan_grasps(v1::PlanGraspsRequest { frames: vec![cut], ..request() }, "plan").unwrap();
     let error = scene.frames[0].decode().unwrap_err();
     assert_eq!((error.field.as_str(), error.reason), ("plan.frames[0].data", FieldReason::Image));
+}
 
-    let labelled = edited(|f| {
-        f.labels = Some(v1::LabelImage { encoding: 0, data: Bytes::from_static(&[1; 7]) });
-    });
-    let (scene, _) = plan_grasps(labelled, "").unwrap();
-    assert_eq!(scene.frames[0].decode().unwrap_err().field, "frames[0].labels.data");
+#[test]
+fn room_grows_with_the_volume() {
+    for (volume_resolution, room) in [(0, 1), (16, 1), (80, 1), (81, 2), (100, 2), (128, 5)] {
+        let scene_options = Some(v1::SceneOptions { volume_resolution, ..Default::default() });
+        let (scene, _) = plan_grasps(v1::PlanGraspsRequest { scene_options, ..request() }, "").unwrap();
+        assert_eq!(scene.room(), room, "{volume_resolution}");
+    }
 }
 
 #[test]

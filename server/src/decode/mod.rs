@@ -7,8 +7,9 @@ mod raw;
 
 use graspd_planner::frame::DepthImage;
 
-/// No image may decode to more pixels than this, whatever its header says.
-pub const MAX_PIXELS: usize = 64 << 20;
+/// No image, and no images of one scene together, may decode to more pixels than this, whatever their headers
+/// say: a depth image of 4K fits.
+pub const MAX_PIXELS: usize = 8 << 20;
 
 /// How the pixels of a depth image are stored.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -108,19 +109,36 @@ pub fn depth(
     }
 }
 
-/// Checks the size of raw pixels without decoding them; a PNG's size is known only to its decoder.
+/// Width and height that a depth image will have, from its header alone: nothing is decoded.
 ///
 /// # Errors
-/// As [`depth`].
-pub fn check_raw_size(
+/// As [`depth`], as far as the size and the header tell.
+pub fn announced_size(
     encoding: DepthEncoding,
     size: Option<(usize, usize)>,
-    byte_count: usize,
-) -> Result<(), DecodeError> {
+    data: &[u8],
+) -> Result<(usize, usize), DecodeError> {
     match encoding {
-        DepthEncoding::RawU16 { .. } => raw::checked_size(size, 2, byte_count).map(drop),
-        DepthEncoding::RawF32 => raw::checked_size(size, 4, byte_count).map(drop),
-        DepthEncoding::PngU16 { .. } => Ok(()),
+        DepthEncoding::RawU16 { .. } => raw::checked_size(size, 2, data.len()),
+        DepthEncoding::RawF32 => raw::checked_size(size, 4, data.len()),
+        DepthEncoding::PngU16 { .. } => png::announced_size(data, size, png::Want::Gray16),
+    }
+}
+
+/// Checks from its header alone that a label image has the size of its depth image.
+///
+/// # Errors
+/// As [`labels`], as far as the size and the header tell.
+pub fn check_label_size(
+    encoding: LabelEncoding,
+    width: usize,
+    height: usize,
+    data: &[u8],
+) -> Result<(), DecodeError> {
+    let size = Some((width, height));
+    match encoding {
+        LabelEncoding::RawU8 => raw::checked_size(size, 1, data.len()).map(drop),
+        LabelEncoding::PngU8 => png::announced_size(data, size, png::Want::Labels8).map(drop),
     }
 }
 

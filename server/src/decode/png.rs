@@ -47,22 +47,49 @@ impl Want {
     }
 }
 
+type Source<'a> = Decoder<Cursor<&'a [u8]>>;
+
+/// Width and height, from the header alone.
+pub(super) fn announced_size(
+    data: &[u8],
+    size: Option<(usize, usize)>,
+    want: Want,
+) -> Result<(usize, usize), DecodeError> {
+    open(data, size, want).map(|(_, size)| size)
+}
+
 /// Width, height and the samples as they are in the file (16-bit samples big-endian).
-///
-/// The header is checked before any pixel is inflated, so a small file cannot become a large allocation.
 pub(super) fn decode(
     data: &[u8],
     size: Option<(usize, usize)>,
     want: Want,
 ) -> Result<(usize, usize, Vec<u8>), DecodeError> {
-    let fault = |error: png::DecodingError| {
-        DecodeError::data(format!("{} bytes that do not decode: {error}", data.len()), want.describe())
-    };
+    let fault = |error| does_not_decode(data, want, &error);
+    let (mut decoder, (width, height)) = open(data, size, want)?;
+    let byte_count = width * height * want.bytes_per_pixel();
+    // Rows are inflated one at a time, so the decoder's own share is a few rows.
+    decoder.set_limits(Limits { bytes: DECODER_BYTES + 8 * width * want.bytes_per_pixel() });
+    let mut reader = decoder.read_info().map_err(fault)?;
+    let mut pixels = vec![0; byte_count];
+    match reader.output_buffer_size() {
+        Some(needed) if needed == pixels.len() => {}
+        _ => return Err(DecodeError::data("a PNG file whose rows do not fit its header", want.describe())),
+    }
+    reader.next_frame(&mut pixels).map_err(fault)?;
+    Ok((width, height, pixels))
+}
+
+/// Reads and checks the header before any pixel is inflated, so a small file cannot become a large allocation.
+fn open(
+    data: &[u8],
+    size: Option<(usize, usize)>,
+    want: Want,
+) -> Result<(Source<'_>, (usize, usize)), DecodeError> {
     let mut decoder = Decoder::new_with_limits(Cursor::new(data), Limits { bytes: DECODER_BYTES });
     decoder.set_transformations(Transformations::IDENTITY);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
-    let header = decoder.read_header_info().map_err(fault)?;
+    let header = decoder.read_header_info().map_err(|error| does_not_decode(data, want, &error))?;
     let (width, height) = (header.width as usize, header.height as usize);
     let (color, depth) = (header.color_type, header.bit_depth);
     if !want.accepts(color, depth) {
@@ -74,23 +101,17 @@ pub(super) fn decode(
     let pixel_count =
         checked_pixel_count(width, height).map_err(|e| DecodeError { part: Part::Data, ..e })?;
     check_announced_size(size, (width, height))?;
-    let byte_count = pixel_count * want.bytes_per_pixel();
-    if byte_count / DEFLATE_RATIO > data.len() {
+    if pixel_count * want.bytes_per_pixel() / DEFLATE_RATIO > data.len() {
         return Err(DecodeError::data(
             format!("{} bytes of PNG that announce {width} × {height} pixels", data.len()),
             "a complete PNG file; so few bytes cannot hold so many pixels",
         ));
     }
-    // Rows are inflated one at a time, so the decoder's own share is a few rows.
-    decoder.set_limits(Limits { bytes: DECODER_BYTES + 8 * width * want.bytes_per_pixel() });
-    let mut reader = decoder.read_info().map_err(fault)?;
-    let mut pixels = vec![0; byte_count];
-    match reader.output_buffer_size() {
-        Some(needed) if needed == pixels.len() => {}
-        _ => return Err(DecodeError::data("a PNG file whose rows do not fit its header", want.describe())),
-    }
-    reader.next_frame(&mut pixels).map_err(fault)?;
-    Ok((width, height, pixels))
+    Ok((decoder, (width, height)))
+}
+
+fn does_not_decode(data: &[u8], want: Want, error: &png::DecodingError) -> DecodeError {
+    DecodeError::data(format!("{} bytes that do not decode: {error}", data.len()), want.describe())
 }
 
 /// The frame may leave its size to the PNG, but may not contradict it.

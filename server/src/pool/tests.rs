@@ -14,7 +14,7 @@ fn endless() -> CallBudget {
 }
 
 fn pool(slots: usize, queue: usize) -> Pool {
-    Pool::start(PoolConfig { threads: 1, slots, queue }).unwrap()
+    Pool::start(PoolConfig { threads: 1, slots, queue, scene_room: 2 }).unwrap()
 }
 
 /// Keeps the pool's only slot busy until the returned sender is dropped.
@@ -111,4 +111,66 @@ async fn without_a_queue_only_free_slots_take_jobs() {
     let second = occupy(&pool);
     assert!(matches!(pool.submit(&endless(), |_| ()), Err(PoolError::Full { limit: 0, .. })));
     drop((first, second));
+}
+
+#[tokio::test]
+async fn what_continues_a_call_keeps_the_calls_place() {
+    let pool = pool(1, 8);
+    let release = occupy(&pool);
+    let early = endless();
+    let (order, seen) = mpsc::channel();
+    let mut tickets = Vec::new();
+    for name in ["new", "newer"] {
+        let order = order.clone();
+        let later = CallBudget::new(early.start() + Duration::from_millis(5), None);
+        tickets.push(pool.submit_scene(&later, 1, move |_, _| order.send(name).unwrap()).unwrap());
+    }
+    for name in ["first hand", "second hand"] {
+        let order = order.clone();
+        tickets.push(pool.submit_continuation(&early, move |_| order.send(name).unwrap()).unwrap());
+    }
+    drop(release);
+    for mut ticket in tickets {
+        ticket.wait().await.unwrap();
+    }
+    assert_eq!(seen.try_iter().collect::<Vec<_>>(), ["first hand", "second hand", "new", "newer"]);
+}
+
+#[tokio::test]
+async fn scenes_begin_only_where_there_is_room_and_others_pass_them() {
+    let pool = pool(3, 8);
+    let mut small = pool.submit_scene(&endless(), 1, |_, room| room).unwrap();
+    let small = small.wait().await.unwrap();
+    assert_eq!(pool.scene_room_taken(), 1);
+    // Asks for more than there is and so waits for all of it; the next scene may not overtake it.
+    let mut large = pool.submit_scene(&endless(), 5, |_, room| room).unwrap();
+    let mut next = pool.submit_scene(&endless(), 1, |_, room| room).unwrap();
+    let mut other = pool.submit(&endless(), |_| "no scene").unwrap();
+    let mut hand = pool.submit_continuation(&endless(), |_| "has a scene").unwrap();
+    assert_eq!(other.wait().await.unwrap(), "no scene");
+    assert_eq!(hand.wait().await.unwrap(), "has a scene");
+    assert_eq!((pool.waiting(), pool.scene_room_taken()), (2, 1));
+    drop(small);
+    let large = large.wait().await.unwrap();
+    assert_eq!((pool.waiting(), pool.scene_room_taken()), (1, 2));
+    drop(large);
+    drop(next.wait().await.unwrap());
+    assert_eq!(pool.scene_room_taken(), 0);
+}
+
+#[tokio::test]
+async fn room_comes_back_from_jobs_that_panic_and_dead_jobs_are_not_in_the_way() {
+    let pool = pool(2, 8);
+    let mut bad = pool.submit_scene(&endless(), 2, |_, _| -> () { panic!("on purpose") }).unwrap();
+    assert_eq!(bad.wait().await, Err(PoolError::Panicked));
+    assert_eq!(pool.scene_room_taken(), 0);
+    let held = pool.submit_scene(&endless(), 1, |_, room| room).unwrap().wait().await.unwrap();
+    let gone = endless();
+    let mut dead = pool.submit_scene(&gone, 2, |_, _| panic!("must not run")).unwrap();
+    let mut next = pool.submit_scene(&endless(), 1, |_, _| "runs").unwrap();
+    gone.cancel();
+    pool.drop_dead();
+    assert_eq!(dead.wait().await, Err::<(), _>(PoolError::Cancelled));
+    assert_eq!(next.wait().await.unwrap(), "runs");
+    drop(held);
 }

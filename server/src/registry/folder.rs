@@ -19,7 +19,7 @@ const DEEPEST: usize = 4;
 #[non_exhaustive]
 pub enum FolderError {
     /// The system refused to read.
-    #[error("{path}: {source}", path = path.display())]
+    #[error("{path}: cannot be read", path = path.display())]
     Io {
         /// Where.
         path: PathBuf,
@@ -59,7 +59,7 @@ pub enum FolderError {
         id: String,
     },
     /// The files do not make a hand.
-    #[error("{path}: {source}", path = path.display())]
+    #[error("{path}: does not make a hand", path = path.display())]
     Hand {
         /// The hand's folder.
         path: PathBuf,

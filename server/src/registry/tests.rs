@@ -205,3 +205,24 @@ fn links_are_refused_and_hidden_files_skipped() {
     let error = read_hand_dir(&folder).unwrap_err();
     assert!(matches!(error, FolderError::NotPlain { found: "a symbolic link", .. }), "{error}");
 }
+
+#[test]
+fn a_chain_of_errors_says_everything_once() {
+    let scratch = Scratch::new("chain");
+    fs::remove_file(scratch.hand("mine").join("hand.urdf")).unwrap();
+    let hand = Registry::default().add_folder(&scratch.0).unwrap_err();
+    let nowhere = Registry::default().add_folder(&scratch.0.join("nowhere")).unwrap_err();
+    for error in [crate::ServeError::from(hand), crate::ServeError::from(nowhere)] {
+        let mut links = Vec::new();
+        let mut link: Option<&dyn std::error::Error> = Some(&error);
+        while let Some(error) = link {
+            links.push(error.to_string());
+            link = error.source();
+        }
+        assert_eq!(links.len(), 3, "{links:?}");
+        let chain = links.join(": ");
+        for text in &links {
+            assert_eq!(chain.matches(text.as_str()).count(), 1, "{text:?} in {chain:?}");
+        }
+    }
+}

@@ -60,15 +60,17 @@ where
     }
 
     fn call(&mut self, mut request: Request<Body>) -> Self::Future {
-        if !request.uri().path().starts_with(OWN_PATHS) {
-            return Box::pin(self.inner.call(request));
+        let path = request.uri().path().to_owned();
+        if !path.starts_with(OWN_PATHS) {
+            let answer = self.inner.call(request);
+            return Box::pin(async move { Ok(in_our_words(answer.await?, &path)) });
         }
         if self.draining.load(Ordering::Relaxed) {
             let refused = Status::from(ServiceError::Draining).into_http();
             return Box::pin(async move { Ok(refused) });
         }
         let clock = CallClock::start(request.headers());
-        let span = tracing::info_span!("call", method = %request.uri().path());
+        let span = tracing::info_span!("call", method = %path);
         request.extensions_mut().insert(clock);
         let answer = self.inner.call(request);
         Box::pin(
@@ -84,7 +86,7 @@ where
                         }
                     },
                 };
-                let response = in_our_words(response);
+                let response = in_our_words(response, &path);
                 log(&response, &clock);
                 Ok(response)
             }
@@ -93,9 +95,10 @@ where
     }
 }
 
-/// Replaces what tonic itself refuses (too large, not protobuf) by an error with details.
-fn in_our_words(response: Response<Body>) -> Response<Body> {
-    let error = Status::from_header_map(response.headers()).as_ref().and_then(status::from_transport);
+/// Replaces what tonic itself refuses (too large, not protobuf, no such method) by an error with details.
+fn in_our_words(response: Response<Body>, path: &str) -> Response<Body> {
+    let status = Status::from_header_map(response.headers());
+    let error = status.and_then(|s| status::from_transport(&s).or_else(|| status::unknown_method(&s, path)));
     error.map_or(response, |error| Status::from(error).into_http())
 }
 

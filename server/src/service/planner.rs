@@ -107,6 +107,8 @@ impl PlannerService for PlannerApi {
                     (task.id().to_owned(), answer)
                 });
             }
+            // From here on the scene lives as long as the jobs that need it.
+            drop(read);
             tokio::select! {
                 biased;
                 () = sender.closed() => {}
@@ -140,7 +142,7 @@ async fn send_results(
         }
         let outcome = match answer {
             Ok(response) => v1::hand_task_result::Outcome::Response(response),
-            Err(error) => v1::hand_task_result::Outcome::Error(task_error(&error)),
+            Err(error) => v1::hand_task_result::Outcome::Error(status::task_error(&error)),
         };
         let result = v1::HandTaskResult { task_id, outcome: Some(outcome) };
         let event = Some(plan_multi_hand_response::Event::Result(result));
@@ -155,14 +157,6 @@ async fn send_results(
     let event = Some(plan_multi_hand_response::Event::Summary(summary));
     // A caller that left before the last message needs no summary.
     sender.send(Ok(v1::PlanMultiHandResponse { event })).await.ok();
-}
-
-fn task_error(error: &ServiceError) -> v1::TaskError {
-    v1::TaskError {
-        code: status::code(error) as i32,
-        message: error.to_string(),
-        reason: status::reason(error).to_owned(),
-    }
 }
 
 /// The sending side of `StreamGrasps`.

@@ -193,6 +193,48 @@ async fn bytes_that_are_not_the_protocol_are_refused() {
 }
 
 #[tokio::test]
+async fn a_method_that_does_not_exist_is_named() {
+    let server = TestServer::start().await;
+    let channel = Channel::from_shared(server.endpoint()).unwrap().connect().await.unwrap();
+    let mut grpc = tonic::client::Grpc::new(channel);
+    for path in
+        ["/graspd.v1.PlannerService/PlanGrasp", "/graspd.v2.PlannerService/PlanGrasps", "/other/Method"]
+    {
+        grpc.ready().await.unwrap();
+        let codec = tonic_prost::ProstCodec::<v1::PlanGraspsRequest, v1::PlanGraspsResponse>::default();
+        let asked = tonic::Request::new(request(GRIPPER));
+        let status = grpc.unary(asked, path.parse().unwrap(), codec).await.unwrap_err();
+        let error = graspd_client::CallError::from(&status);
+        assert_eq!((error.code, error.reason.as_str()), (Code::Unimplemented, "METHOD_NOT_FOUND"), "{path}");
+        assert!(error.message.contains(path), "{}", error.message);
+    }
+    goes_on(&server.client().await).await;
+}
+
+#[tokio::test]
+async fn a_small_png_of_many_pixels_is_refused_before_it_is_decoded() {
+    let server = TestServer::start().await;
+    let client = server.client().await;
+    let mut file = Vec::new();
+    let mut encoder = png::Encoder::new(&mut file, 4096, 4096);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    encoder.write_header().unwrap().write_image_data(&vec![0; 4096 * 4096 * 2]).unwrap();
+    assert!(file.len() < 200_000, "{}", file.len());
+    let bomb = edited(|f| {
+        f.encoding = v1::DepthEncoding::PngU16.into();
+        f.depth_scale_m = 0.001;
+        (f.width_px, f.height_px) = (0, 0);
+        f.data = file.into();
+    });
+    let error = call_error(client.plan_grasps(&bomb).await);
+    assert_eq!((error.code, error.reason.as_str()), (Code::InvalidArgument, "INVALID_IMAGE"));
+    assert_eq!(error.violations[0].field, "frames[0].data");
+    assert!(error.message.contains("at most 8388608 pixels"), "{}", error.message);
+    goes_on(&client).await;
+}
+
+#[tokio::test]
 async fn a_job_that_panics_is_one_answer_and_no_more() {
     let server = TestServer::start().await;
     let client = server.client().await;

@@ -62,6 +62,30 @@ async fn reflection_lists_the_services_and_their_files() {
 }
 
 #[tokio::test]
+async fn reflection_also_speaks_its_older_protocol() {
+    use tonic_reflection::pb::v1alpha::server_reflection_client::ServerReflectionClient;
+    use tonic_reflection::pb::v1alpha::server_reflection_request::MessageRequest;
+    use tonic_reflection::pb::v1alpha::server_reflection_response::MessageResponse;
+
+    let server = TestServer::start().await;
+    let mut reflection = ServerReflectionClient::new(channel(&server).await);
+    let question = tonic_reflection::pb::v1alpha::ServerReflectionRequest {
+        host: String::new(),
+        message_request: Some(MessageRequest::ListServices(String::new())),
+    };
+    let questions = tokio_stream::iter([question]);
+    let mut answers = reflection.server_reflection_info(questions).await.unwrap().into_inner();
+    let Some(MessageResponse::ListServicesResponse(list)) =
+        answers.next().await.unwrap().unwrap().message_response
+    else {
+        panic!("expected a list of services");
+    };
+    for service in ["graspd.v1.PlannerService", "graspd.v1.HandService"] {
+        assert!(list.service.iter().any(|s| s.name == service), "{list:?}");
+    }
+}
+
+#[tokio::test]
 async fn an_address_that_others_can_reach_is_refused() {
     let config = |insecure_listen| ServerConfig {
         listen: SocketAddr::from(([0, 0, 0, 0], 0)),
