@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context as _, bail};
-use graspd_hands::{Hand, library};
+use graspd_hands::{Hand, HandError, HandFiles, library};
 
 /// A hand by library id, or by the path of its folder.
 ///
@@ -36,6 +36,20 @@ pub(crate) fn id_of(path: &Path) -> String {
         id
     } else {
         format!("hand-{id}").trim_matches('-').to_owned()
+    }
+}
+
+/// What to say about a folder whose name a server's folder of hands may not hold.
+pub(crate) fn folder_warning(folder: &Path) -> Option<String> {
+    let full = folder.canonicalize().ok()?;
+    let name = full.file_name()?.to_string_lossy();
+    // Without files only the id is looked at.
+    match Hand::load(&name, &HandFiles::default()) {
+        Err(error @ HandError::BadId { .. }) => Some(format!(
+            "folder name as {error}; `graspd serve --hands-dir` refuses it (checked here as {:?})",
+            id_of(folder)
+        )),
+        _ => None,
     }
 }
 
@@ -85,6 +99,20 @@ mod tests {
         assert_eq!(id_of(Path::new("/x/My Hand_2")), "my-hand-2");
         assert_eq!(id_of(Path::new("/x/3finger.urdf")), "hand-3finger");
         assert_eq!(distance("kitten", "sitting"), 3);
+    }
+
+    #[test]
+    fn folder_names_that_a_server_refuses_are_told() {
+        let base = std::env::temp_dir().join(format!("graspd-names-{}", std::process::id()));
+        for (name, refused) in [("my-hand", false), ("Bad Name", true), ("9", true), ("ends-", false)] {
+            std::fs::create_dir_all(base.join(name)).unwrap();
+            let warning = folder_warning(&base.join(name));
+            assert_eq!(warning.is_some(), refused, "{name}: {warning:?}");
+            if let Some(text) = warning {
+                assert!(text.contains(name) && text.contains("expected a lower-case letter"), "{text}");
+            }
+        }
+        std::fs::remove_dir_all(&base).unwrap();
     }
 
     #[test]

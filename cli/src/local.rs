@@ -1,19 +1,22 @@
 //! Planning in this process, without a server.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
 use graspd_hands::Hand;
 use graspd_planner::budget::Budget as _;
-use graspd_planner::estimator::Geometric;
+use graspd_planner::estimator::ContactEstimator;
 use graspd_planner::frame::Frame;
 use graspd_planner::options::{PlanOptions, SceneOptions};
 use graspd_planner::plan;
-use graspd_planner::scene::{self, Scene};
+use graspd_planner::scene::{self, Scene, SceneError};
+
+use graspd_server::Estimators;
 
 use crate::clock::StdBudget;
 use crate::input::npz::LoadedField;
-use crate::outcome::Outcome;
+use crate::outcome::{Origin, Outcome};
 
 /// What is planned from.
 #[derive(Debug, Clone)]
@@ -33,33 +36,96 @@ impl Observed {
         }
     }
 
-    /// Reads the scene, once for all hands.
+    /// Reads the scene, however long that takes.
     ///
     /// # Errors
     /// For a frame or options that cannot be read.
     pub(crate) fn scene(&self, options: &SceneOptions) -> anyhow::Result<Scene> {
-        let budget = StdBudget::new(None);
-        let scene = match self {
-            Self::Frame(frame) => scene::prepare(std::slice::from_ref(frame), options, &Geometric, &budget),
+        self.read(options, &*estimator(None)?, &StdBudget::new(None)).context("the scene cannot be read")
+    }
+
+    fn read(
+        &self,
+        options: &SceneOptions,
+        estimator: &dyn ContactEstimator,
+        budget: &StdBudget,
+    ) -> Result<Scene, SceneError> {
+        match self {
+            Self::Frame(frame) => scene::prepare(std::slice::from_ref(frame), options, estimator, budget),
             Self::Field(field) => {
-                scene::from_contact_field(field.field.clone(), &field.solid, options, &budget)
+                scene::from_contact_field(field.field.clone(), &field.solid, options, budget)
             }
-        };
-        scene.context("the scene cannot be read")
+        }
     }
 }
 
-/// Plans for one hand in a scene; the budget counts for this hand alone.
-pub(crate) fn plan_hand(
-    scene: &Scene,
-    hand: &Hand,
-    options: &PlanOptions,
-    limit: Option<Duration>,
-) -> Outcome {
-    let budget = StdBudget::new(limit);
-    let plan = plan::plan(scene, hand, options, &budget, None);
-    tracing::debug!(hand = hand.id, elapsed_ms = budget.elapsed().as_secs_f64() * 1e3, "planned");
-    Outcome::from_plan(hand, plan)
+/// The contact estimator of that name; the default one without a name. A server that `graspd serve` starts has
+/// the same ones.
+///
+/// # Errors
+/// For an unknown name, with the known ones.
+pub(crate) fn estimator(name: Option<&str>) -> anyhow::Result<Arc<dyn ContactEstimator>> {
+    let known = Estimators::default();
+    known.get(name).map_err(|_| {
+        let list: Vec<&str> = known.names().collect();
+        anyhow::anyhow!("--estimator: found {:?}, expected {}", name.unwrap_or_default(), list.join(" or "))
+    })
+}
+
+/// How scenes are read and grasps are searched.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Settings<'a> {
+    /// How the scene is read.
+    pub(crate) scene: &'a SceneOptions,
+    /// How grasps are searched.
+    pub(crate) search: &'a PlanOptions,
+    /// Name of the contact estimator, unless it is the default.
+    pub(crate) estimator: Option<&'a str>,
+    /// Time from the arrival of the request, the reading of the scene included, to the last answer.
+    pub(crate) budget: Option<Duration>,
+}
+
+/// Reads the scene once and plans for every hand, as a server does with a request for several hands.
+///
+/// The scene is `None` when the budget ended before it was read; the hands' answers say so.
+///
+/// # Errors
+/// For a frame or options that cannot be read, and an unknown estimator.
+pub(crate) fn plan(
+    observed: &Observed,
+    hands: &[Hand],
+    settings: &Settings<'_>,
+) -> anyhow::Result<(Option<Scene>, Vec<Outcome>)> {
+    let budget = StdBudget::new(settings.budget);
+    let estimator = estimator(settings.estimator)?;
+    let used = match observed {
+        Observed::Frame(_) => estimator.name(),
+        // The contacts came with the file.
+        Observed::Field(_) => "",
+    };
+    let origin = |hand: &Hand, scene: Option<&Scene>| Origin {
+        workspace: scene.map(|s| s.workspace),
+        estimator: used.to_owned(),
+        seed: settings.search.seed,
+        hand_revision: hand.revision.clone(),
+    };
+    let scene = match observed.read(settings.scene, &*estimator, &budget) {
+        Ok(scene) => scene,
+        Err(SceneError::Stopped(_)) => {
+            let late = |hand| Outcome::out_of_time(hand, origin(hand, None), budget.elapsed());
+            return Ok((None, hands.iter().map(late).collect()));
+        }
+        Err(error) => return Err(anyhow::Error::new(error).context("the scene cannot be read")),
+    };
+    let outcomes = hands
+        .iter()
+        .map(|hand| {
+            let plan = plan::plan(&scene, hand, settings.search, &budget, None);
+            tracing::debug!(hand = hand.id, elapsed_ms = budget.elapsed().as_secs_f64() * 1e3, "planned");
+            Outcome::from_plan(hand, plan, origin(hand, Some(&scene)), budget.elapsed())
+        })
+        .collect();
+    Ok((Some(scene), outcomes))
 }
 
 #[cfg(test)]
@@ -69,17 +135,36 @@ mod tests {
     use graspd_hands::library;
     use graspd_planner::options::Scheme;
 
-    /// The demo frame, read once for all tests of this module.
-    fn demo() -> (Frame, Scene) {
+    fn demo_frame() -> Observed {
         let (depth, file) = demo_scene::bundled().unwrap();
-        let frame = file.frame(&depth, None).unwrap();
-        let scene = Observed::Frame(Box::new(frame.clone())).scene(&SceneOptions::default()).unwrap();
-        (frame, scene)
+        Observed::Frame(Box::new(file.frame(&depth, None).unwrap()))
+    }
+
+    /// The answer for a parallel gripper.
+    fn planned(observed: &Observed, budget: Option<Duration>) -> Outcome {
+        let hand = library::hand("robotiq-2f85").unwrap().clone();
+        let search = PlanOptions { batch: 24, scheme: Scheme::BALANCED, ..PlanOptions::default() };
+        let settings = Settings { scene: &SceneOptions::default(), search: &search, estimator: None, budget };
+        plan(observed, &[hand], &settings).unwrap().1.remove(0)
+    }
+
+    #[test]
+    fn a_budget_counts_from_the_request_and_may_end_with_the_scene() {
+        let outcome = planned(&demo_frame(), Some(Duration::from_nanos(1)));
+        assert_eq!(outcome.no_grasp.unwrap().0, "out_of_time");
+        assert!(outcome.stopped && outcome.origin.workspace.is_none() && outcome.grasps.is_empty());
+    }
+
+    #[test]
+    fn an_unknown_estimator_is_refused_with_the_known_ones() {
+        assert_eq!(estimator(Some("geometric")).unwrap().name(), "geometric");
+        let message = estimator(Some("magic")).err().unwrap().to_string();
+        assert_eq!(message, "--estimator: found \"magic\", expected geometric");
     }
 
     #[test]
     fn the_demo_frame_has_objects_on_a_table_where_they_were_put() {
-        let (_, scene) = demo();
+        let scene = demo_frame().scene(&SceneOptions::default()).unwrap();
         // The world's origin is on the table top: a point of the volume at the table's height maps to z = 0.
         let table = scene.workspace.table_m.unwrap();
         let on_table = scene.workspace.world_from_volume * nalgebra::Point3::new(0.2, 0.2, table);
@@ -91,10 +176,15 @@ mod tests {
 
     #[test]
     fn a_gripper_finds_grasps_on_the_demo_frame() {
-        let (_, scene) = demo();
-        let hand = library::hand("robotiq-2f85").unwrap();
-        let options = PlanOptions { batch: 24, scheme: Scheme::BALANCED, ..PlanOptions::default() };
-        let outcome = plan_hand(&scene, hand, &options, None);
+        let outcome = planned(&demo_frame(), None);
+        assert_eq!(outcome.origin.estimator, "geometric");
+        assert_eq!(outcome.origin.hand_revision, library::hand("robotiq-2f85").unwrap().revision);
+        assert!(outcome.origin.workspace.is_some() && outcome.total > Duration::ZERO);
+        for g in &outcome.grasps {
+            let camera_from_world = g.camera_from_hand * g.world_from_hand.inverse();
+            let off = (camera_from_world * g.world_from_pregrasp).inverse() * g.camera_from_pregrasp;
+            assert!(off.translation.vector.norm() < 1e-9 && off.rotation.angle() < 1e-6);
+        }
         assert!(!outcome.grasps.is_empty(), "{outcome:?}");
         assert!(outcome.grasps.windows(2).all(|pair| pair[0].score >= pair[1].score));
         assert!(outcome.stage_ms("optimize").unwrap() > 0.0);
@@ -106,9 +196,7 @@ mod tests {
         let file = crate::input::intrinsics::FrameFile::parse("f.json", camera.to_json().as_bytes()).unwrap();
         let depth = crate::input::depth::RawDepth::from_png("d.png", &camera.to_png().unwrap()).unwrap();
         let frame = file.frame(&depth, None).unwrap();
-        let scene = Observed::Frame(Box::new(frame)).scene(&SceneOptions::default()).unwrap();
-        let hand = library::hand("robotiq-2f85").unwrap();
-        let outcome = plan_hand(&scene, hand, &PlanOptions::default(), None);
+        let outcome = planned(&Observed::Frame(Box::new(frame)), None);
         assert!(outcome.grasps.is_empty());
         let (reason, fix) = outcome.no_grasp.unwrap();
         assert!(["empty_table", "no_contacts", "nothing_seen"].contains(&reason.as_str()), "{reason}");

@@ -42,7 +42,13 @@ fn main() -> ExitCode {
     let quiet = if matches!(cli.command, Command::Serve(_)) { "info" } else { "warn" };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
     let ansi = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(ansi).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(ansi)
+        // Its own complaints go through a macro that panics when standard error is closed.
+        .log_internal_errors(false)
+        .init();
     let result = match &cli.command {
         Command::Serve(args) => serve::run(args),
         Command::Plan(args) => plan::run(args),

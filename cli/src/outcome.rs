@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use graspd_hands::Hand;
-use graspd_planner::grasp::{Grasp, Plan, Postures, ScoreParts};
+use graspd_planner::grasp::{EmptyReason, Grasp, ObjectiveTerms, Plan, Postures, ScoreParts};
+use graspd_planner::workspace::Workspace;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
 /// The answer for one hand.
@@ -34,17 +35,42 @@ pub(crate) struct Outcome {
     pub(crate) stages: Vec<(String, Duration)>,
     /// Planning stopped before its end.
     pub(crate) stopped: bool,
+    /// What was planned with.
+    pub(crate) origin: Origin,
+    /// Time that the work waited for a free core.
+    pub(crate) queue: Duration,
+    /// From the arrival of the request to this answer.
+    pub(crate) total: Duration,
+    /// For each iteration the terms of the candidate that ended best, where that was asked for.
+    pub(crate) trace: Vec<ObjectiveTerms>,
+}
+
+/// What an answer depends on besides the frame and the options.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Origin {
+    /// Where the volume stood; unknown where time ended before that.
+    pub(crate) workspace: Option<Workspace>,
+    /// Contact estimator.
+    pub(crate) estimator: String,
+    /// Seed of the search.
+    pub(crate) seed: u64,
+    /// Revision of the hand's description.
+    pub(crate) hand_revision: String,
 }
 
 /// One grasp, world frame.
 #[derive(Debug, Clone)]
 pub(crate) struct GraspOutcome {
+    /// Name of the hand's root link, whose poses are given.
+    pub(crate) wrist_link: String,
     /// Pose of the hand's root link at the grasp.
     pub(crate) world_from_hand: Isometry3<f64>,
     /// Pose of the hand's root link at the grasp, optical frame of the first camera.
     pub(crate) camera_from_hand: Isometry3<f64>,
     /// Pose of the hand's root link before the approach.
     pub(crate) world_from_pregrasp: Isometry3<f64>,
+    /// Pose of the hand's root link before the approach, optical frame of the first camera.
+    pub(crate) camera_from_pregrasp: Isometry3<f64>,
     /// Joint positions.
     pub(crate) joints: Named,
     /// Actuator positions: what to command.
@@ -89,13 +115,15 @@ pub(crate) struct ContactOutcome {
     pub(crate) pad: String,
     /// Name of the finger.
     pub(crate) finger: String,
+    /// Name of the link that carries the pad.
+    pub(crate) link: String,
     /// 0 to 1.
     pub(crate) certainty: f64,
 }
 
 impl Outcome {
     /// From a plan that was made in this process.
-    pub(crate) fn from_plan(hand: &Hand, plan: Plan) -> Self {
+    pub(crate) fn from_plan(hand: &Hand, plan: Plan, origin: Origin, total: Duration) -> Self {
         let stages = plan.stats.stages.iter().map(|&(name, d)| (name.to_owned(), d)).collect();
         Self {
             hand: hand.id.clone(),
@@ -109,6 +137,23 @@ impl Outcome {
             rejected: plan.stats.rejected.iter().map(|(r, &n)| (r.as_str().to_owned(), n)).collect(),
             stages,
             stopped: plan.stats.stopped.is_some(),
+            origin,
+            queue: Duration::ZERO,
+            total,
+            trace: plan.trace,
+        }
+    }
+
+    /// The answer when time ended before the scene was read.
+    pub(crate) fn out_of_time(hand: &Hand, origin: Origin, total: Duration) -> Self {
+        let fix = "the budget ended while the scene was read; allow more time".to_owned();
+        Self {
+            hand: hand.id.clone(),
+            no_grasp: Some((EmptyReason::OutOfTime.as_str().to_owned(), fix)),
+            stopped: true,
+            origin,
+            total,
+            ..Self::default()
         }
     }
 
@@ -136,13 +181,22 @@ impl GraspOutcome {
                 normal: c.normal,
                 pad: hand.pads.get(c.pad).map(|p| p.name.clone()).unwrap_or_default(),
                 finger: hand.fingers.get(c.finger).map(|f| f.name.clone()).unwrap_or_default(),
+                link: hand
+                    .pads
+                    .get(c.pad)
+                    .and_then(|p| hand.tree.links.get(p.link))
+                    .map(|l| l.name.clone())
+                    .unwrap_or_default(),
                 certainty: c.certainty,
             })
             .collect();
+        let hand_from_pregrasp = grasp.world_from_hand.inverse() * grasp.world_from_pregrasp;
         Self {
+            wrist_link: hand.tree.links.first().map(|l| l.name.clone()).unwrap_or_default(),
             world_from_hand: grasp.world_from_hand,
             camera_from_hand: grasp.camera_from_hand,
             world_from_pregrasp: grasp.world_from_pregrasp,
+            camera_from_pregrasp: grasp.camera_from_hand * hand_from_pregrasp,
             joints: Named { names: joint_names, values: grasp.joints },
             actuators: Named { names: actuator_names, values: grasp.actuators },
             contacts,

@@ -176,8 +176,8 @@ fn closing(hand: &Hand, findings: &mut Findings) {
         findings.warn(
             TOML,
             "pads",
-            "no two pads of different fingers face each other while the hand closes",
-            "opposed pads: without them no opening is known and pinching is impossible",
+            "no two pads of different fingers that face each other with room between them while the hand closes",
+            "opposed pads, and open and closed on their two sides: otherwise no opening is known",
         );
     }
 }

@@ -171,6 +171,17 @@ fn default_tolerance() -> f64 {
     0.004
 }
 
+/// What was found and what was expected, of a parser's message that says both in one sentence.
+fn worded(message: &str) -> (String, String) {
+    if let Some(key) = message.strip_prefix("missing field ") {
+        return (format!("no {key}"), format!("{key}, which every such entry has"));
+    }
+    match message.split_once(", expected ") {
+        Some((found, expected)) => (found.to_owned(), expected.to_owned()),
+        None => (message.to_owned(), "valid TOML that describes a hand".to_owned()),
+    }
+}
+
 /// Reads `hand.toml`. `None` when errors were recorded.
 pub(crate) fn read(bytes: &[u8], findings: &mut Findings) -> Option<Description> {
     if bytes.len() > MAX_BYTES {
@@ -185,7 +196,8 @@ pub(crate) fn read(bytes: &[u8], findings: &mut Findings) -> Option<Description>
         Ok(description) => description,
         Err(error) => {
             let line = error.span().map_or(0, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
-            findings.error(TOML, format!("line {line}"), error.message(), "a hand description");
+            let (found, expected) = worded(error.message());
+            findings.error(TOML, format!("line {line}"), found, expected);
             return None;
         }
     };
@@ -225,4 +237,28 @@ pub(crate) fn read(bytes: &[u8], findings: &mut Findings) -> Option<Description>
         );
     }
     (findings.errors.len() == before).then_some(description)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mistakes_read_as_sentences() {
+        let said = |text: &str| {
+            let mut findings = Findings::default();
+            assert!(read(text.as_bytes(), &mut findings).is_none());
+            findings.errors[0].to_string()
+        };
+        let unknown = said("display_name = \"x\"\naproach = [0, 0, 1]");
+        assert!(
+            unknown.starts_with("hand.toml: line 2: found unknown field `aproach`; expected one of `"),
+            "{unknown}"
+        );
+        assert_eq!(unknown.matches("expected").count(), 1, "{unknown}");
+        let missing = said("display_name = \"x\"");
+        assert!(missing.contains("found no `approach`; expected `approach`, which"), "{missing}");
+        let broken = said("display_name = ");
+        assert_eq!(broken.matches("expected").count(), 1, "{broken}");
+    }
 }

@@ -103,7 +103,7 @@ impl fmt::Display for Hand {
         )?;
         match self.opening {
             Some(o) => writeln!(f, "opens from {:.1} to {:.1} mm", o.min_m * 1e3, o.max_m * 1e3)?,
-            None => writeln!(f, "no opposed pads")?,
+            None => writeln!(f, "opening unknown: no opposed pads with room between them")?,
         }
         let (a, t) = (self.approach, self.tool_point);
         writeln!(

@@ -19,6 +19,7 @@ mod pad;
 mod coupling;
 mod description;
 mod geometry;
+mod joint_limits;
 mod load;
 mod mesh;
 mod pads;
@@ -26,6 +27,7 @@ mod urdf;
 mod xml_guard;
 
 // What is derived from a hand's shapes and motion.
+mod groups;
 mod opening;
 mod self_collision;
 mod solid;

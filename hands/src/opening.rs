@@ -6,6 +6,8 @@ use crate::{Actuation, Opening, Pad, Tree};
 
 /// Steps between open and closed.
 const STEPS: usize = 48;
+/// Pads that are never farther apart while they face each other do not open, metres.
+const LEAST_OPENING_M: f64 = 0.001;
 /// Pads oppose each other when their normals differ by more than this cosine (about 110°).
 const OPPOSED: f64 = -0.35;
 
@@ -21,7 +23,7 @@ pub(crate) fn pads_at(tree: &Tree, pads: &[Pad], q: &[f64]) -> Vec<(Point3<f64>,
 }
 
 /// Largest and smallest gap between opposed pads of different fingers while the hand closes; `None`
-/// when no two pads face each other.
+/// when no two pads face each other with room between them.
 ///
 /// The gap is measured along the direction in which the two pads face each other, and counts from open
 /// until the pads meet. Pads that have faced each other and then curl on (wrapping fingers) still come
@@ -55,7 +57,7 @@ pub(crate) fn opening(tree: &Tree, actuation: &Actuation, pads: &[Pad]) -> Optio
             }
         }
     }
-    range.map(|(min_m, max_m)| Opening { min_m, max_m })
+    range.filter(|&(_, most)| most > LEAST_OPENING_M).map(|(min_m, max_m)| Opening { min_m, max_m })
 }
 
 /// Gap between two pads that face each other; negative when they have passed each other.
@@ -78,4 +80,23 @@ pub(crate) fn tool_point(tree: &Tree, actuation: &Actuation, pads: &[Pad]) -> Po
     let Some(&(first, _)) = at.first() else { return Point3::origin() };
     let (low, high) = at.iter().fold((first, first), |(low, high), (p, _)| (low.inf(p), high.sup(p)));
     nalgebra::center(&low, &high)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{HandFiles, check, library};
+
+    #[test]
+    fn a_hand_that_never_stands_open_has_no_opening() {
+        // Pads that face each other, but never more than 0.6 mm apart.
+        let files = library::files("panda").unwrap();
+        let toml = String::from_utf8(files.files["hand.toml"].clone()).unwrap();
+        let toml = toml.replace("open = 0.04", "open = 0.0003");
+        let report = check("panda", &HandFiles::new(files.files["hand.urdf"].clone(), toml));
+        assert!(report.warnings.iter().any(|p| p.found.contains("room between them")), "{report}");
+        assert!(
+            report.summary.contains("no opposed pads") && !report.summary.contains("opens from"),
+            "{report}"
+        );
+    }
 }

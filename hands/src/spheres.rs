@@ -10,6 +10,7 @@ use nalgebra::{Isometry3, Point3};
 
 use crate::error::Findings;
 use crate::files::{TOML, URDF};
+use crate::groups::{self, Bounds, GROUP};
 use crate::solid::Solid;
 use crate::{CollisionShape, CollisionSphere, Pad, Tree};
 
@@ -26,6 +27,8 @@ const MOST_SAMPLES: usize = 10_000;
 const MOST_CENTRES: usize = 2000;
 /// Hands of more shapes than this are sampled more coarsely: the work for a hand is bounded.
 const USUAL_SHAPES: usize = 60;
+/// Lengths that differ by less are equal, metres.
+const HAIR_M: f64 = 1e-9;
 /// Most spheres of a hand.
 const MOST_SPHERES: usize = 1000;
 
@@ -141,15 +144,18 @@ fn cover_solids(
         let stride = surface.len() * solids.len() / 600 + 1;
         centres.extend(surface.into_iter().step_by(stride));
     }
-    let candidates: Vec<(Point3<f64>, f64)> = centres
-        .into_iter()
-        .filter_map(|c| {
-            let free = depth(&c) + tolerance;
-            let radius = walls.iter().map(|w| w.largest_radius(&c)).fold(free, f64::min);
-            (radius > 0.0).then_some((c, radius))
-        })
-        .collect();
-    let samples = allow(&samples, &candidates, &depth, reach, ROUNDING * tolerance);
+    let mut candidates: Vec<(Point3<f64>, f64)> = Vec::with_capacity(centres.len());
+    // The largest spheres inside the union about the same centres.
+    let mut balls: Vec<(Point3<f64>, f64)> = Vec::with_capacity(centres.len());
+    for c in centres {
+        let inside = depth(&c);
+        let radius = walls.iter().map(|w| w.largest_radius(&c)).fold(inside + tolerance, f64::min);
+        if radius > 0.0 {
+            candidates.push((c, radius));
+            balls.push((c, inside));
+        }
+    }
+    let samples = allow(&samples, balls, reach, ROUNDING * tolerance);
     prune(&samples, greedy(&samples, &candidates))
 }
 
@@ -159,43 +165,106 @@ struct Sample {
     reach: f64,
 }
 
-/// How close a sphere must come to each sample: `reach`, and what rounding takes off sharp edges.
+/// How close a sphere must come to each sample: `reach`, and what rounding takes off sharp edges. The
+/// samples are sorted into groups.
 fn allow(
     samples: &[Point3<f64>],
-    candidates: &[(Point3<f64>, f64)],
-    depth: &dyn Fn(&Point3<f64>) -> f64,
+    mut balls: Vec<(Point3<f64>, f64)>,
     reach: f64,
     rounding: f64,
 ) -> Vec<Sample> {
-    let balls: Vec<(Point3<f64>, f64)> = candidates.iter().map(|&(c, _)| (c, depth(&c))).collect();
-    let deepest = balls.iter().map(|b| b.1).fold(0.0, f64::max);
-    let least = rounding.min(0.8 * deepest);
-    let balls: Vec<(Point3<f64>, f64)> = balls.into_iter().filter(|b| b.1 >= least).collect();
-    samples
+    balls.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let least = rounding.min(0.8 * balls.first().map_or(0.0, |b| b.1));
+    // Balls inside others say nothing: what remains is few, about the middle of the shapes.
+    let mut kept: Vec<(Point3<f64>, f64)> = Vec::new();
+    for (c, d) in balls.into_iter().take_while(|b| b.1 >= least) {
+        let spare = |k: &(Point3<f64>, f64)| k.1 - d + HAIR_M;
+        if kept.iter().all(|k| (k.0 - c).norm_squared() > spare(k) * spare(k)) {
+            kept.push((c, d));
+        }
+    }
+    let most = 0.75 * rounding;
+    let mut out: Vec<Sample> = samples
         .iter()
         .map(|&point| {
-            let off = balls.iter().map(|(c, d)| (point - c).norm() - d).fold(f64::INFINITY, f64::min);
-            Sample { point, reach: reach + off.clamp(0.0, 0.75 * rounding) }
+            let mut off = most;
+            for (center, depth) in &kept {
+                let (square, limit) = ((point - center).norm_squared(), off + depth);
+                if square < limit * limit {
+                    off = square.sqrt() - depth;
+                    if off <= 0.0 {
+                        break;
+                    }
+                }
+            }
+            Sample { point, reach: reach + off.max(0.0) }
         })
+        .collect();
+    groups::sort(&mut out, |s| s.point);
+    out
+}
+
+/// Some samples: their box, and their smallest and largest reach.
+struct Extent {
+    bounds: Bounds,
+    reach: (f64, f64),
+}
+
+impl Extent {
+    fn of(samples: &[Sample]) -> Self {
+        let ends = (f64::INFINITY, 0.0_f64);
+        let reach = samples.iter().fold(ends, |(low, high), s| (low.min(s.reach), high.max(s.reach)));
+        Self { bounds: Bounds::of(samples.iter().map(|s| s.point)), reach }
+    }
+
+    /// Whether a sphere covers all of the samples, or none; `None` when that takes a closer look.
+    fn covered(&self, center: &Point3<f64>, radius: f64) -> Option<bool> {
+        let (least, most) = (radius + self.reach.0, radius + self.reach.1);
+        if self.bounds.nearest_squared(center) > most * most {
+            return Some(false);
+        }
+        (self.bounds.farthest_squared(center) <= least * least).then_some(true)
+    }
+}
+
+/// For each candidate a set of bits, one for each sample that it covers.
+fn sets(samples: &[Sample], candidates: &[(Point3<f64>, f64)]) -> Vec<Vec<u64>> {
+    let extents = |size: usize| -> Vec<Extent> { samples.chunks(size).map(Extent::of).collect() };
+    let (words, groups) = (extents(64), extents(GROUP));
+    let bits = |count: usize| if count == 64 { u64::MAX } else { (1 << count) - 1 };
+    let word = |(w, samples): (usize, &[Sample]), center: &Point3<f64>, radius: f64| {
+        if let Some(all) = words[w].covered(center, radius) {
+            return if all { bits(samples.len()) } else { 0 };
+        }
+        let mut word = 0_u64;
+        for (g, group) in samples.chunks(GROUP).enumerate() {
+            let inside = match groups[w * (64 / GROUP) + g].covered(center, radius) {
+                Some(all) => {
+                    if all {
+                        bits(group.len())
+                    } else {
+                        0
+                    }
+                }
+                None => group.iter().enumerate().fold(0, |set, (i, sample)| {
+                    let limit = radius + sample.reach;
+                    set | u64::from((sample.point - center).norm_squared() <= limit * limit) << i
+                }),
+            };
+            word |= inside << (g * GROUP);
+        }
+        word
+    };
+    candidates
+        .iter()
+        .map(|(center, radius)| samples.chunks(64).enumerate().map(|s| word(s, center, *radius)).collect())
         .collect()
 }
 
 /// Greedy set cover: always the candidate that covers most of what is still uncovered.
 fn greedy(samples: &[Sample], candidates: &[(Point3<f64>, f64)]) -> Vec<(Point3<f64>, f64)> {
     let words = samples.len().div_ceil(64);
-    let sets: Vec<Vec<u64>> = candidates
-        .iter()
-        .map(|(center, radius)| {
-            let mut set = vec![0_u64; words];
-            for (i, sample) in samples.iter().enumerate() {
-                let limit = radius + sample.reach;
-                if (sample.point - center).norm_squared() <= limit * limit {
-                    set[i / 64] |= 1 << (i % 64);
-                }
-            }
-            set
-        })
-        .collect();
+    let sets = sets(samples, candidates);
     let mut open = vec![u64::MAX; words];
     if !samples.len().is_multiple_of(64)
         && let Some(last) = open.last_mut()
@@ -345,6 +414,25 @@ mod tests {
             cover_solids(&[Solid::new(Isometry3::identity(), shape).unwrap()], &[], 0.004, MOST_CENTRES).len()
         };
         assert!(count(&mesh).abs_diff(count(&exact)) <= 4, "{} and {}", count(&mesh), count(&exact));
+    }
+
+    #[test]
+    fn sets_hold_what_distances_say() {
+        let at = |i: usize| {
+            let f = |k: f64| (i as f64 * k).fract() - 0.5;
+            Point3::new(f(0.618), f(0.755), f(0.570))
+        };
+        let mut samples: Vec<Sample> =
+            (0..301).map(|i| Sample { point: at(i), reach: 0.01 * (i % 7) as f64 }).collect();
+        groups::sort(&mut samples, |s| s.point);
+        let candidates: Vec<(Point3<f64>, f64)> = (0..90).map(|i| (at(3 * i), 0.01 * i as f64)).collect();
+        for ((center, radius), set) in candidates.iter().zip(sets(&samples, &candidates)) {
+            for (i, sample) in samples.iter().enumerate() {
+                let covered = (sample.point - center).norm() <= radius + sample.reach;
+                assert_eq!(set[i / 64] >> (i % 64) & 1 == 1, covered, "{i} {center} {radius}");
+            }
+            assert_eq!(set[samples.len() / 64] >> (samples.len() % 64), 0);
+        }
     }
 
     #[test]

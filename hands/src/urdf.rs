@@ -9,6 +9,7 @@ use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::error::Findings;
 use crate::files::URDF;
+use crate::joint_limits::{self, Stated};
 use crate::{Body, CollisionShape, HandFiles, Joint, JointKind, Link, Tree, geometry, xml_guard};
 
 /// Most links of a hand.
@@ -47,6 +48,10 @@ pub(crate) fn read(bytes: &[u8], files: &HandFiles, findings: &mut Findings) -> 
         findings.error(URDF, "text", "bytes that are not UTF-8", "a UTF-8 text");
         return None;
     };
+    if text.contains('\0') {
+        findings.error(URDF, "text", "zero bytes: not UTF-8, perhaps UTF-16", "a UTF-8 text");
+        return None;
+    }
     if let Err((found, expected)) = xml_guard::check(text) {
         findings.error(URDF, "document", found, expected);
         return None;
@@ -69,7 +74,13 @@ pub(crate) fn read(bytes: &[u8], files: &HandFiles, findings: &mut Findings) -> 
     let links = names(robot.links.iter().map(|l| l.name.as_str()), "link", findings);
     let joints = names(robot.joints.iter().map(|j| j.name.as_str()), "joint", findings);
     let order = order(&robot, &links, findings);
-    let joint_motions: Vec<Option<Joint>> = robot.joints.iter().map(|j| joint(j, findings)).collect();
+    let stated = joint_limits::stated(text);
+    let joint_motions: Vec<Option<Joint>> = robot
+        .joints
+        .iter()
+        .enumerate()
+        .map(|(i, j)| joint(j, stated.get(i).copied().unwrap_or_default(), findings))
+        .collect();
     let origins: Vec<Isometry3<f64>> = robot
         .joints
         .iter()
@@ -173,7 +184,7 @@ fn order(robot: &urdf_rs::Robot, links: &HashMap<&str, usize>, findings: &mut Fi
 }
 
 /// A movable joint; `None` for a fixed one or after an error.
-fn joint(joint: &urdf_rs::Joint, findings: &mut Findings) -> Option<Joint> {
+fn joint(joint: &urdf_rs::Joint, stated: Stated, findings: &mut Findings) -> Option<Joint> {
     use urdf_rs::JointType;
     let field = |what: &str| format!("joint {:?} {what}", joint.name);
     let kind = match joint.joint_type {
@@ -209,7 +220,15 @@ fn joint(joint: &urdf_rs::Joint, findings: &mut Findings) -> Option<Joint> {
     let none = lower == upper || !(lower.is_finite() && upper.is_finite());
     if joint.joint_type == JointType::Continuous && none {
         (lower, upper) = (-std::f64::consts::PI, std::f64::consts::PI);
-        findings.warn(URDF, field("limit"), "a continuous joint", "limits (-π to π were assumed)");
+        findings.warn(
+            URDF,
+            field("limit"),
+            "a continuous joint, which has none",
+            "type revolute with the limits of the real joint (-π to π were assumed)",
+        );
+    }
+    if joint.joint_type != JointType::Continuous && !limits_stated(stated, &field("limit"), findings) {
+        return None;
     }
     let most = if kind == JointKind::Revolute { 4.0 * std::f64::consts::PI } else { MAX_LENGTH_M };
     if !(lower < upper && lower.abs() <= most && upper.abs() <= most) {
@@ -231,6 +250,24 @@ fn joint(joint: &urdf_rs::Joint, findings: &mut Findings) -> Option<Joint> {
         effort: rate(limit.effort),
         velocity: rate(limit.velocity),
     })
+}
+
+/// True with an upper limit. The lower one may be left out: URDF then takes it to be zero.
+fn limits_stated(stated: Stated, field: &str, findings: &mut Findings) -> bool {
+    const EXPECTED: &str = "<limit lower=\"…\" upper=\"…\"/>: radians, or metres if prismatic";
+    if !stated.limit {
+        findings.error(URDF, field, "no <limit>", EXPECTED);
+        return false;
+    }
+    if !stated.upper {
+        let both = if stated.lower { "a <limit> without upper" } else { "a <limit> without lower and upper" };
+        findings.error(URDF, field, both, EXPECTED);
+        return false;
+    }
+    if !stated.lower {
+        findings.warn(URDF, field, "a <limit> without lower", "both limits (0 was assumed, as URDF says)");
+    }
+    true
 }
 
 /// A pose with bounded numbers; identity after an error.

@@ -68,7 +68,7 @@ fn after<'a>(text: &'a str, mark: &str) -> Option<&'a str> {
 }
 
 /// Position of the `>` that ends a tag; `>` inside quotes does not.
-fn tag_end(text: &str) -> Option<usize> {
+pub(crate) fn tag_end(text: &str) -> Option<usize> {
     let mut quote = None;
     for (at, byte) in text.bytes().enumerate() {
         match (quote, byte) {

@@ -57,8 +57,40 @@ fn refuses_broken_trees() {
         let message = refused(&with(URDF, from, to));
         assert!(message.contains(expected), "{to}: {message}");
     }
-    let no_limit = with(URDF, r#"<limit lower="0" upper="0.04" effort="70" velocity="0.05"/>"#, "");
-    assert!(refused(&no_limit).contains("limit"));
+}
+
+#[test]
+fn names_limits_that_are_missing() {
+    let limit = r#"<limit lower="0" upper="0.04" effort="70" velocity="0.05"/>"#;
+    for (to, expected) in [
+        ("", "limit: found no <limit>; expected"),
+        (r#"<limit lower="0" effort="70" velocity="0.05"/>"#, "found a <limit> without upper;"),
+        (r#"<limit effort="70" velocity="0.05"/>"#, "found a <limit> without lower and upper;"),
+    ] {
+        let message = refused(&with(URDF, limit, to));
+        assert!(message.contains(expected), "{to}: {message}");
+    }
+    let report = check("x", &with(URDF, limit, r#"<limit upper="0.04" effort="70" velocity="0.05"/>"#));
+    assert!(report.passed() && report.to_string().contains("found a <limit> without lower;"), "{report}");
+}
+
+#[test]
+fn texts_of_other_encodings_are_named() {
+    let urdf = text(&panda(), URDF);
+    let mut utf16: Vec<u8> = urdf.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let mut latin = urdf.clone().into_bytes();
+    latin.splice(0..0, *b"<!-- \xe9 -->");
+    for bytes in [utf16.clone(), latin] {
+        let mut files = panda();
+        files.files.insert(URDF.into(), bytes);
+        let message = refused(&files);
+        assert!(message.contains("not UTF-8") && !message.contains("links"), "{message}");
+    }
+    // Read as UTF-8 with replacements by somebody before.
+    utf16.splice(0..0, [0xff, 0xfe]);
+    let mut files = panda();
+    files.files.insert(URDF.into(), String::from_utf8_lossy(&utf16).into_owned().into_bytes());
+    assert!(refused(&files).contains("not UTF-8"));
 }
 
 #[test]

@@ -36,9 +36,17 @@ pub(crate) struct SceneArgs {
     /// Height of the table top in the cube, metres; only with --workspace
     #[arg(long, value_name = "METRES", requires = "workspace")]
     table_height: Option<f64>,
+    /// Contact estimator by name
+    #[arg(long, value_name = "NAME", conflicts_with = "contact_field")]
+    estimator: Option<String>,
 }
 
 impl SceneArgs {
+    /// Name of the contact estimator, unless it is the default.
+    pub(crate) fn estimator(&self) -> Option<&str> {
+        self.estimator.as_deref()
+    }
+
     /// As the planner wants it.
     pub(crate) fn options(&self) -> SceneOptions {
         let workspace = match &self.workspace {
@@ -94,8 +102,8 @@ pub(crate) struct SearchArgs {
     /// Leave out grasps that score less, 0 to 1
     #[arg(long, default_value_t = 0.0, value_parser = parse_share)]
     min_score: f64,
-    /// Stop the search for each hand after this many milliseconds and answer with the best so far; a server
-    /// counts from the arrival of the request
+    /// Stop after this many milliseconds and answer with the best so far. Counts from the start of the request,
+    /// here as on a server: reading the scene is included, and all hands of the request share the time
     #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u64).range(1..))]
     budget_ms: Option<u64>,
     /// Coulomb friction between pads and objects
@@ -107,6 +115,9 @@ pub(crate) struct SearchArgs {
     /// Initial joints lie within this share of the closing range
     #[arg(long, default_value_t = 0.2, value_name = "SHARE", value_parser = parse_share)]
     opening: f64,
+    /// Return the objective's terms of every iteration too
+    #[arg(long, requires = "json")]
+    trace: bool,
 }
 
 impl SearchArgs {
@@ -160,7 +171,7 @@ impl SearchArgs {
             opening_fraction: within("--opening", self.opening, 1e-6, 1.0)?,
             friction: within("--friction", self.friction, 1e-6, 5.0)?,
             pregrasp_offset_m: within("--pregrasp-offset", self.pregrasp_offset, 0.0, 1.0)?,
-            trace: false,
+            trace: self.trace,
         })
     }
 
@@ -169,7 +180,7 @@ impl SearchArgs {
         self.target_label
     }
 
-    /// Time for each hand, where it is bounded.
+    /// Time for the whole request, where it is bounded.
     pub(crate) fn budget(&self) -> Option<Duration> {
         self.budget_ms.map(Duration::from_millis)
     }
@@ -281,6 +292,11 @@ mod tests {
         scene: SceneArgs,
         #[command(flatten)]
         search: SearchArgs,
+        // What flags refer to.
+        #[arg(long)]
+        json: bool,
+        #[arg(long)]
+        contact_field: Option<String>,
     }
 
     fn parse(flags: &str) -> Result<Both, String> {
@@ -325,6 +341,9 @@ mod tests {
         assert!(parse("--reaching sideways").unwrap_err().contains("expected top-down, camera, free"));
         assert!(parse("--reaching 0,0,0").unwrap_err().contains("not zero"));
         assert!(parse("--t-fc 1.5").unwrap_err().contains("from 0 to 1"));
+        assert!(parse("--trace").unwrap_err().contains("--json"));
+        assert!(parse("--trace --json").unwrap().search.options().unwrap().trace);
+        assert_eq!(parse("--estimator geometric").unwrap().scene.estimator(), Some("geometric"));
         let message = parse("--friction 0").unwrap().search.options().unwrap_err().to_string();
         assert!(message.starts_with("--friction: found 0, expected"), "{message}");
     }

@@ -102,8 +102,11 @@ fn table(results: &[(String, Times)], bench: &cases::Bench) -> String {
             if fastest.is_nan() { String::new() } else { format!("{:.0}x", fastest / t.median_ms) },
         ]);
     }
-    let memory =
-        stats::peak_memory_mib().map_or_else(String::new, |mib| format!("peak memory {mib:.0} MiB\n"));
+    let memory = stats::peak_memory_mib().map_or_else(String::new, |mib| {
+        format!(
+            "peak memory of this process {mib:.0} MiB: all hands, scenes and measurements, not one plan\n"
+        )
+    });
     format!(
         "{table}\n{}\n{} threads\n{memory}paper: Supplementary Tables 1 and 2 (optimization alone), on an RTX 3060 Ti\n\
          reference: its published code on two cores of such a machine; faster: than the faster of the two",
@@ -125,6 +128,11 @@ mod tests {
         for name in [
             "volume.tsdf",
             "volume.occupancy",
+            "volume.solid",
+            "frame",
+            "rank.robotiq-2f85",
+            "rank.robotiq-3f",
+            "rank.leap",
             "estimate.geometric",
             "refine",
             "optimize.leap",

@@ -12,7 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::plan::{FrameFiles, views, write_file};
 use crate::demo_scene;
-use crate::local::Observed;
+use crate::local::{Observed, Settings};
 use crate::outcome::Outcome;
 use crate::output::table;
 use crate::remote::{self, Answers, Question};
@@ -55,8 +55,7 @@ pub(crate) fn run(args: &DemoArgs) -> anyhow::Result<()> {
     // Twice the usual batch: on a frame with small objects the largest hands need the choice.
     let search = PlanOptions { seed: args.seed, batch: 96, ..PlanOptions::default() };
     let scene_options = SceneOptions::default();
-    let question =
-        Question { files: &files, scene: &scene_options, search: &search, budget: None, hands: &hands };
+    let question = Question { files: &files, settings: settings(&scene_options, &search), hands: &hands };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let answers = runtime.block_on(over_the_wire(&question))?;
 
@@ -69,9 +68,18 @@ pub(crate) fn run(args: &DemoArgs) -> anyhow::Result<()> {
         answers.outcomes.len(),
         answers.total.as_secs_f64()
     )?;
-    let (png, html) = draw(&args.out, &files, &answers.outcomes)?;
+    // Whoever watches reads the table while the picture is drawn.
+    out.flush()?;
+    let progress = Progress::new("drawing the picture and the page", 0);
+    let drawn = draw(&args.out, &files, &answers.outcomes);
+    progress.end();
+    let (png, html) = drawn?;
     writeln!(out, "picture: {}\npage:    {} (open it in a browser)", png.display(), html.display())?;
     Ok(())
+}
+
+fn settings<'a>(scene: &'a SceneOptions, search: &'a PlanOptions) -> Settings<'a> {
+    Settings { scene, search, estimator: None, budget: None }
 }
 
 /// Starts a server on a free port of this machine and asks it.
@@ -83,7 +91,7 @@ async fn over_the_wire(question: &Question<'_>) -> anyhow::Result<Answers> {
     let serving = tokio::spawn(server.serve_until(async {
         stopped.await.ok();
     }));
-    let progress = Progress::new(&url, question.hands.len());
+    let progress = Progress::new(&format!("server at {url}"), question.hands.len());
     let client = remote::connect(&url).await?;
     let answers = remote::ask(&client, question, &mut |outcome| progress.answer(outcome)).await;
     progress.end();
@@ -125,16 +133,19 @@ struct Progress {
 }
 
 impl Progress {
-    fn new(url: &str, hands: usize) -> Self {
+    /// Begins with a message; a bar of `hands` steps, or a spinner alone where there are none.
+    fn new(message: &str, hands: usize) -> Self {
         if !std::io::stderr().is_terminal() {
-            writeln!(std::io::stderr(), "server at {url}").ok();
+            writeln!(std::io::stderr(), "{message}").ok();
             return Self { bar: None };
         }
         let bar = ProgressBar::new(hands as u64);
-        if let Ok(style) = ProgressStyle::with_template("{spinner} {bar:30} {pos}/{len} {msg}") {
+        let template =
+            if hands > 0 { "{spinner} {bar:30} {pos}/{len} {msg}" } else { "{spinner} {elapsed} {msg}" };
+        if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
-        bar.set_message(format!("server at {url}"));
+        bar.set_message(message.to_owned());
         bar.enable_steady_tick(std::time::Duration::from_millis(80));
         Self { bar: Some(bar) }
     }
@@ -169,25 +180,41 @@ mod tests {
     fn answers_over_the_wire_are_those_of_this_process() {
         let (depth, file) = demo_scene::bundled().unwrap();
         let files = FrameFiles::new(depth, file, None).unwrap();
-        let search = PlanOptions { batch: 16, scheme: Scheme::QUICK, seed: 7, ..PlanOptions::default() };
+        let search =
+            PlanOptions { batch: 16, scheme: Scheme::QUICK, seed: 7, trace: true, ..PlanOptions::default() };
         let scene_options = SceneOptions::default();
         let hands = ["robotiq-2f85".to_owned(), "leap".to_owned()];
-        let question =
-            Question { files: &files, scene: &scene_options, search: &search, budget: None, hands: &hands };
+        let question = Question { files: &files, settings: settings(&scene_options, &search), hands: &hands };
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
         let answers = runtime.block_on(over_the_wire(&question)).unwrap();
-        let scene = Observed::Frame(Box::new(files.frame.clone())).scene(&scene_options).unwrap();
+        let observed = Observed::Frame(Box::new(files.frame.clone()));
+        let loaded: Vec<Hand> = hands.iter().map(|id| library::hand(id).unwrap().clone()).collect();
+        let (_, local) = crate::local::plan(&observed, &loaded, &question.settings).unwrap();
         assert_eq!(answers.outcomes.len(), hands.len());
-        for (id, theirs) in hands.iter().zip(&answers.outcomes) {
-            let ours = crate::local::plan_hand(&scene, library::hand(id).unwrap(), &search, None);
+        for (id, (ours, theirs)) in hands.iter().zip(local.iter().zip(&answers.outcomes)) {
+            assert_eq!(ours.origin.hand_revision, theirs.origin.hand_revision);
+            assert_eq!(ours.origin.estimator, theirs.origin.estimator);
+            assert_eq!((ours.origin.seed, theirs.origin.seed), (7, 7));
+            let place = |o: &Outcome| o.origin.workspace.map(|w| (w.grid, w.table_m));
+            assert!(place(ours).is_some() && place(ours) == place(theirs));
+            assert_eq!(ours.trace.len(), 60, "{id}");
+            assert_eq!(ours.trace, theirs.trace, "{id}");
+            assert!(theirs.total > std::time::Duration::ZERO);
             assert_eq!(ours.rejected, theirs.rejected, "{id}");
             assert_eq!(ours.no_grasp.is_some(), theirs.no_grasp.is_some());
             let scores = |o: &Outcome| o.grasps.iter().map(|g| g.score).collect::<Vec<f64>>();
-            assert_eq!(scores(&ours), scores(theirs), "{id}");
+            assert_eq!(scores(ours), scores(theirs), "{id}");
             for (a, b) in ours.grasps.iter().zip(&theirs.grasps) {
                 assert!(
                     (a.world_from_hand.translation.vector - b.world_from_hand.translation.vector).norm()
                         < 1e-9
+                );
+                assert_eq!(a.wrist_link, b.wrist_link);
+                let off = a.camera_from_pregrasp.inverse() * b.camera_from_pregrasp;
+                assert!(off.translation.vector.norm() < 1e-9);
+                assert_eq!(
+                    a.contacts.iter().map(|c| &c.link).collect::<Vec<_>>(),
+                    b.contacts.iter().map(|c| &c.link).collect::<Vec<_>>()
                 );
                 assert_eq!(a.joints.names, b.joints.names);
                 assert_eq!(a.actuators.values, b.actuators.values);
@@ -202,8 +229,7 @@ mod tests {
         let files = FrameFiles::new(depth, file, None).unwrap();
         let (search, scene_options) = (PlanOptions::default(), SceneOptions::default());
         let hands = ["robotiq_3f".to_owned()];
-        let question =
-            Question { files: &files, scene: &scene_options, search: &search, budget: None, hands: &hands };
+        let question = Question { files: &files, settings: settings(&scene_options, &search), hands: &hands };
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
         let message = runtime.block_on(over_the_wire(&question)).unwrap_err().to_string();
         assert!(message.contains("did you mean \"robotiq-3f\"?"), "{message}");

@@ -58,9 +58,14 @@ pub(crate) fn run(args: &HandsArgs) -> anyhow::Result<()> {
                 folder.display()
             );
             let files = graspd_server::read_hand_dir(folder)?;
+            if let Some(warning) = hand_source::folder_warning(folder) {
+                writeln!(out, "warning: {warning}")?;
+            }
             let report = graspd_hands::check(&hand_source::id_of(folder), &files);
             writeln!(out, "{report}")?;
-            anyhow::ensure!(report.passed(), "{}: {} problems", folder.display(), report.errors.len());
+            let count = report.errors.len();
+            let problems = if count == 1 { "problem" } else { "problems" };
+            anyhow::ensure!(report.passed(), "{}: {count} {problems}", folder.display());
         }
         Action::Init { urdf, out: folder } => init::run(urdf, folder.as_deref(), &mut out)?,
     }

@@ -13,7 +13,7 @@ use crate::hand_source;
 use crate::input::depth::RawDepth;
 use crate::input::intrinsics::FrameFile;
 use crate::input::{labels, npz};
-use crate::local::{self, Observed};
+use crate::local::{self, Observed, Settings};
 use crate::outcome::Outcome;
 use crate::output::{json, table};
 use crate::remote::{self, Question};
@@ -38,8 +38,9 @@ pub(crate) struct PlanArgs {
     /// Plan in a contact field that was made elsewhere (NumPy archive) instead of a depth image
     #[arg(long, value_name = "NPZ", conflicts_with_all = ["depth", "intrinsics", "labels", "server"])]
     contact_field: Option<PathBuf>,
-    /// Ask this server, for example http://127.0.0.1:50051, instead of planning in this process
-    #[arg(long, value_name = "URL", env = "GRASPD_SERVER")]
+    /// Ask this server, for example http://127.0.0.1:50051, instead of planning in this process. Left out, the
+    /// variable GRASPD_SERVER of the environment names it; a contact field is planned in here in any case
+    #[arg(long, value_name = "URL")]
     server: Option<String>,
     /// Print JSON
     #[arg(long)]
@@ -56,6 +57,14 @@ pub(crate) struct PlanArgs {
     search: SearchArgs,
 }
 
+impl PlanArgs {
+    /// The server to ask: that of the flag, or that of the environment for what a server can be asked.
+    fn server(&self, environment: Option<String>) -> Option<String> {
+        let environment = environment.filter(|url| !url.is_empty() && self.contact_field.is_none());
+        self.server.clone().or(environment)
+    }
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -69,22 +78,22 @@ pub(crate) fn run(args: &PlanArgs) -> anyhow::Result<()> {
     );
     let input = Input::open(args)?;
     let wants_view = args.page.is_some() || args.picture.is_some();
-    let (hands, outcomes, scene) = if let (Some(url), Input::Files(files)) = (&args.server, &input) {
-        let budget = args.search.budget();
-        let question =
-            Question { files, scene: &scene_options, search: &options, budget, hands: &args.hands };
-        let outcomes = remote::plan(url, &question)?;
-        // Drawings need the hand's shapes and the scene, which the answer does not carry.
-        let scene = if wants_view { Some(input.observed().scene(&scene_options)?) } else { None };
+    let settings = Settings {
+        scene: &scene_options,
+        search: &options,
+        estimator: args.scene.estimator(),
+        budget: args.search.budget(),
+    };
+    let server = args.server(std::env::var("GRASPD_SERVER").ok());
+    let (hands, outcomes, scene) = if let (Some(url), Input::Files(files)) = (&server, &input) {
+        let outcomes = remote::plan(url, &Question { files, settings, hands: &args.hands })?;
         let hands = args.hands.iter().filter_map(|name| hand_source::resolve(name).ok()).collect();
-        (hands, outcomes, scene)
+        (hands, outcomes, None)
     } else {
         let hands: Vec<Hand> =
             args.hands.iter().map(|n| hand_source::resolve(n)).collect::<anyhow::Result<_>>()?;
-        let scene = input.observed().scene(&scene_options)?;
-        let plan = |hand| local::plan_hand(&scene, hand, &options, args.search.budget());
-        let outcomes: Vec<Outcome> = hands.iter().map(plan).collect();
-        (hands, outcomes, Some(scene))
+        let (scene, outcomes) = local::plan(&input.observed(), &hands, &settings)?;
+        (hands, outcomes, scene)
     };
     let mut out = std::io::stdout().lock();
     if args.json {
@@ -92,8 +101,10 @@ pub(crate) fn run(args: &PlanArgs) -> anyhow::Result<()> {
     } else {
         write!(out, "{}", table::grasps(&outcomes))?;
     }
-    if let (true, Some(scene)) = (wants_view, &scene) {
-        let view = ViewScene::new(scene, input.observed().frame());
+    if wants_view {
+        // Drawings need the scene, which a server's answer does not carry.
+        let scene = scene.map_or_else(|| input.observed().scene(&scene_options), Ok)?;
+        let view = ViewScene::new(&scene, input.observed().frame());
         let shown = views(&hands, &outcomes);
         if let Some(path) = &args.page {
             let hands = if shown.len() == 1 { "1 hand".to_owned() } else { format!("{} hands", shown.len()) };
@@ -191,5 +202,36 @@ impl Input {
             Self::Field { name, .. } => name,
         };
         Path::new(path).file_name().map_or_else(|| path.clone(), |name| name.to_string_lossy().into_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Only {
+        #[command(flatten)]
+        plan: PlanArgs,
+    }
+
+    fn parse(flags: &str) -> Result<PlanArgs, String> {
+        let words = std::iter::once("plan").chain(flags.split(' '));
+        Only::try_parse_from(words).map(|only| only.plan).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn the_environment_names_a_server_where_one_can_be_asked() {
+        let environment = || Some("http://host:1".to_owned());
+        let frame = parse("d.png --intrinsics i.json --hand leap").unwrap();
+        assert_eq!(frame.server(environment()), environment());
+        assert_eq!(frame.server(Some(String::new())), None);
+        let named = parse("d.png --intrinsics i.json --hand leap --server http://other:2").unwrap();
+        assert_eq!(named.server(environment()), Some("http://other:2".to_owned()));
+        let field = parse("--contact-field f.npz --hand leap").unwrap();
+        assert_eq!(field.server(environment()), None);
+        let both = parse("--contact-field f.npz --hand leap --server http://other:2").unwrap_err();
+        assert!(both.contains("--server"), "{both}");
     }
 }

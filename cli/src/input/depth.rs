@@ -1,9 +1,9 @@
 //! Depth images: 16-bit PNG, or a NumPy array of integers or floating-point metres.
 
-use std::io::Cursor;
 use std::path::Path;
 
 use graspd_planner::frame::DepthImage;
+use graspd_server::decode::{self, DepthEncoding};
 
 use super::InputError;
 
@@ -57,23 +57,13 @@ impl RawDepth {
     /// # Errors
     /// If it is no PNG or has another pixel type.
     pub(crate) fn from_png(file: &str, bytes: &[u8]) -> Result<Self, InputError> {
-        let broken = |e: png::DecodingError| InputError::wrong(file, "PNG data", e, "a whole PNG file");
-        let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().map_err(broken)?;
-        let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+        // Units of one: the pixels as they stand in the file, which single precision holds exactly.
+        let decoded = decode::depth(DepthEncoding::PngU16 { scale_m: 1.0 }, None, bytes)
+            .map_err(|e| InputError::wrong(file, "PNG data", e.found, e.expected))?;
+        let DepthImage { width, height, depth_m } = decoded.image;
         check_size(file, width, height)?;
-        let (color, bits) = reader.output_color_type();
-        if (color, bits) != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
-            let found = format!("{color:?} with {} bits", bits as u8);
-            return Err(InputError::wrong(
-                file,
-                "pixel type",
-                found,
-                "Grayscale with 16 bits (depth, not colour)",
-            ));
-        }
-        let mut data = vec![0u8; width * height * 2];
-        reader.next_frame(&mut data).map_err(broken)?;
-        let values = data.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect();
+        let no_return = |d: f32| if d.is_nan() { 0 } else { d as u16 };
+        let values = depth_m.into_iter().map(no_return).collect();
         Ok(Self { file: file.into(), width, height, values: DepthValues::U16(values) })
     }
 
@@ -168,6 +158,18 @@ mod tests {
     }
 
     #[test]
+    fn every_value_of_a_png_is_kept() {
+        let values: Vec<u16> = (0..=u16::MAX).collect();
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 256, 256);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Sixteen);
+        let data: Vec<u8> = values.iter().flat_map(|v| v.to_be_bytes()).collect();
+        encoder.write_header().unwrap().write_image_data(&data).unwrap();
+        assert_eq!(RawDepth::from_png("d.png", &bytes).unwrap().as_u16(), Some(values.as_slice()));
+    }
+
+    #[test]
     fn a_colour_png_is_refused_with_its_type() {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, 1, 1);
@@ -176,7 +178,7 @@ mod tests {
         let message = RawDepth::from_png("c.png", &bytes).unwrap_err().to_string();
         assert_eq!(
             message,
-            "c.png: pixel type: found Rgb with 8 bits, expected Grayscale with 16 bits (depth, not colour)"
+            "c.png: PNG data: found a PNG file of 8-bit Rgb, expected a PNG file of 16-bit grayscale"
         );
     }
 }

@@ -1,7 +1,8 @@
 //! Label images: an 8-bit PNG, 0 for background, one number per object.
 
-use std::io::Cursor;
 use std::path::Path;
+
+use graspd_server::decode::{self, LabelEncoding, Part};
 
 use super::InputError;
 
@@ -14,21 +15,17 @@ pub(crate) fn open(path: &Path, width: usize, height: usize) -> Result<Vec<u8>, 
 }
 
 fn parse(file: &str, bytes: &[u8], width: usize, height: usize) -> Result<Vec<u8>, InputError> {
-    let broken = |e: png::DecodingError| InputError::wrong(file, "PNG data", e, "a whole PNG file");
-    let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().map_err(broken)?;
-    let found = (reader.info().width as usize, reader.info().height as usize);
-    if found != (width, height) {
-        let expected = format!("{width} x {height}, the size of the depth image");
-        return Err(InputError::wrong(file, "size", format!("{} x {}", found.0, found.1), expected));
-    }
-    let (color, bits) = reader.output_color_type();
-    if !matches!(color, png::ColorType::Grayscale | png::ColorType::Indexed) || bits != png::BitDepth::Eight {
-        let found = format!("{color:?} with {} bits", bits as u8);
-        return Err(InputError::wrong(file, "pixel type", found, "Grayscale or Indexed with 8 bits"));
-    }
-    let mut labels = vec![0; width * height];
-    reader.next_frame(&mut labels).map_err(broken)?;
-    Ok(labels)
+    decode::labels(LabelEncoding::PngU8, width, height, bytes).map_err(|e| match e.part {
+        Part::Width | Part::Height => {
+            let expected = format!("{width} x {height}, the size of the depth image");
+            InputError::wrong(file, "size", format!("another {}", side(e.part)), expected)
+        }
+        _ => InputError::wrong(file, "PNG data", e.found, e.expected),
+    })
+}
+
+fn side(part: Part) -> &'static str {
+    if part == Part::Width { "width" } else { "height" }
 }
 
 #[cfg(test)]
@@ -43,6 +40,6 @@ mod tests {
         encoder.write_header().unwrap().write_image_data(&[0, 7]).unwrap();
         assert_eq!(parse("l.png", &bytes, 2, 1).unwrap(), vec![0, 7]);
         let message = parse("l.png", &bytes, 3, 1).unwrap_err().to_string();
-        assert_eq!(message, "l.png: size: found 2 x 1, expected 3 x 1, the size of the depth image");
+        assert_eq!(message, "l.png: size: found another width, expected 3 x 1, the size of the depth image");
     }
 }

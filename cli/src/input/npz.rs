@@ -83,8 +83,8 @@ fn array<R: Read + Seek>(
     let entry = match archive.by_name(&format!("{name}.npy")) {
         Ok(entry) => entry,
         Err(ZipError::FileNotFound) => {
-            let found = format!("only {}", present.join(", "));
-            return Err(InputError::wrong(file, name, found, "this array"));
+            let found = if present.is_empty() { "none".to_owned() } else { present.join(", ") };
+            return Err(InputError::wrong(file, "arrays", found, format!("{name} among them")));
         }
         Err(e) => return Err(InputError::wrong(file, name, e, "a stored or deflated array")),
     };
@@ -169,7 +169,10 @@ pub(super) mod tests {
         let mut arrays = small();
         arrays.remove(2);
         let message = parse("f.npz", &archive(&arrays)).unwrap_err().to_string();
-        assert!(message.starts_with("f.npz: centroid_score: found only"), "{message}");
+        assert_eq!(
+            message,
+            "f.npz: arrays: found contact_score, contact_quat_xyzw, grid, expected centroid_score among them"
+        );
         let mut arrays = small();
         arrays[1] = ("contact_quat_xyzw", vec![3, 2, 2, 2], vec![0.0; 24]);
         let message = parse("f.npz", &archive(&arrays)).unwrap_err().to_string();

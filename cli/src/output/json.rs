@@ -1,5 +1,6 @@
 //! Plans as JSON: SI units, world frame, quaternions as [x, y, z, w].
 
+use graspd_planner::grasp::ObjectiveTerms;
 use nalgebra::Isometry3;
 use serde_json::{Map, Value, json};
 
@@ -26,14 +27,17 @@ fn plan(outcome: &Outcome) -> Value {
                         "normal": c.normal.as_slice(),
                         "pad": c.pad,
                         "finger": c.finger,
+                        "link": c.link,
                         "certainty": c.certainty,
                     })
                 })
                 .collect();
             json!({
+                "wrist_link": g.wrist_link,
                 "world_from_hand": pose(&g.world_from_hand),
                 "camera_from_hand": pose(&g.camera_from_hand),
                 "world_from_pregrasp": pose(&g.world_from_pregrasp),
+                "camera_from_pregrasp": pose(&g.camera_from_pregrasp),
                 "joints": named(&g.joints),
                 "actuators": named(&g.actuators),
                 "contacts": contacts,
@@ -53,8 +57,21 @@ fn plan(outcome: &Outcome) -> Value {
             })
         })
         .collect();
-    json!({
+    let origin = &outcome.origin;
+    let workspace = origin.workspace.map(|w| {
+        json!({
+            "world_from_volume": pose(&w.world_from_volume),
+            "size_m": w.grid.size_m,
+            "resolution": w.grid.resolution,
+            "table_height_m": w.table_m,
+        })
+    });
+    let mut plan = json!({
         "hand": outcome.hand,
+        "hand_revision": origin.hand_revision,
+        "estimator": origin.estimator,
+        "seed": origin.seed,
+        "workspace": workspace,
         "grasps": grasps,
         "no_grasp": outcome.no_grasp.as_ref().map(|(reason, fix)| json!({ "reason": reason, "nearest_fix": fix })),
         "stats": {
@@ -65,8 +82,31 @@ fn plan(outcome: &Outcome) -> Value {
             "iterations": outcome.iterations,
             "rejected": outcome.rejected,
             "stages_ms": stages,
+            "queue_ms": outcome.queue.as_secs_f64() * 1e3,
+            "total_ms": outcome.total.as_secs_f64() * 1e3,
             "budget_exhausted": outcome.stopped,
         },
+    });
+    if !outcome.trace.is_empty() {
+        plan["trace"] = outcome.trace.iter().map(terms).collect();
+    }
+    plan
+}
+
+/// The objective of one iteration.
+fn terms(t: &ObjectiveTerms) -> Value {
+    json!({
+        "contact_distance": t.contact_distance,
+        "certainty": t.certainty,
+        "orientation": t.orientation,
+        "centroid": t.centroid,
+        "independence": t.independence,
+        "net_wrench": t.net_wrench,
+        "approach": t.approach,
+        "joint_limits": t.joint_limits,
+        "coupling": t.coupling,
+        "penetration": t.penetration,
+        "total": t.total,
     })
 }
 
@@ -98,6 +138,26 @@ mod tests {
         assert_eq!(grasp["world_from_hand"]["position"], json!([0.023, 0.012, 0.13]));
         assert_eq!(grasp["actuators"]["squeezed"], json!([0.02]));
         assert_eq!(grasp["contacts"][0]["finger"], "left");
+        assert_eq!(grasp["contacts"][0]["link"], "left_link");
+        assert_eq!(grasp["wrist_link"], "base");
+        assert_eq!(grasp["camera_from_pregrasp"]["position"], json!([0.023, 0.012, 0.23]));
         assert_eq!(value["plans"][0]["no_grasp"], Value::Null);
+        assert_eq!(value["plans"][0].get("trace"), None);
+    }
+
+    #[test]
+    fn what_was_planned_with_is_told() {
+        let mut outcome = fixtures::toy_outcome();
+        outcome.origin.seed = 7;
+        outcome.origin.hand_revision = "abc".into();
+        outcome.origin.workspace = Some(fixtures::toy_scene().workspace);
+        outcome.trace = vec![ObjectiveTerms { total: 2.5, ..ObjectiveTerms::default() }];
+        outcome.total = std::time::Duration::from_millis(30);
+        let plan = &plans(&[outcome])["plans"][0];
+        assert_eq!((&plan["seed"], &plan["hand_revision"]), (&json!(7), &json!("abc")));
+        assert_eq!(plan["workspace"]["table_height_m"], json!(0.1));
+        assert_eq!(plan["workspace"]["resolution"], json!(80));
+        assert_eq!(plan["trace"][0]["total"], json!(2.5));
+        assert_eq!(plan["stats"]["total_ms"], json!(30.0));
     }
 }

@@ -148,7 +148,13 @@ pub(crate) fn hands(outcomes: &[Outcome]) -> String {
             o.no_grasp.as_ref().map_or_else(String::new, |(reason, _)| reason.clone()),
         ]);
     }
-    table.to_string()
+    let mut text = table.to_string();
+    for o in outcomes {
+        if let Some((_, fix)) = &o.no_grasp {
+            text.push_str(&format!("{}: nearest fix: {fix}\n", o.hand));
+        }
+    }
+    text
 }
 
 #[cfg(test)]
@@ -171,9 +177,11 @@ mod tests {
             rejected: [("too_wide".to_owned(), 3), ("collision_scene".to_owned(), 45)].into(),
             ..Outcome::default()
         };
-        let text = grasps(&[outcome]);
+        let text = grasps(std::slice::from_ref(&outcome));
         assert!(text.contains("no grasp: all_rejected\n  nearest fix: raise the camera\n"), "{text}");
         assert!(text.contains("rejected: collision_scene 45, too_wide 3"), "{text}");
+        let text = hands(&[outcome]);
+        assert!(text.ends_with("all_rejected\nleap: nearest fix: raise the camera\n"), "{text}");
     }
 
     #[test]

@@ -3,11 +3,13 @@
 use std::time::Duration;
 
 use anyhow::Context as _;
-use graspd_planner::grasp::{Postures, ScoreParts};
+use graspd_planner::grasp::{ObjectiveTerms, Postures, ScoreParts};
+use graspd_planner::grid::Grid;
+use graspd_planner::workspace::Workspace;
 use graspd_proto::v1;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::outcome::{ContactOutcome, GraspOutcome, Named, Outcome};
+use crate::outcome::{ContactOutcome, GraspOutcome, Named, Origin, Outcome};
 
 /// The answer for a hand.
 ///
@@ -17,6 +19,12 @@ pub(crate) fn outcome(hand: &str, response: &v1::PlanGraspsResponse) -> anyhow::
     let stats = response.stats.clone().unwrap_or_default();
     let count = |n: i32| usize::try_from(n).unwrap_or(0);
     let duration = |d: &Option<_>| d.and_then(|d| Duration::try_from(d).ok()).unwrap_or_default();
+    let origin = Origin {
+        workspace: response.workspace.as_ref().map(workspace).transpose()?,
+        estimator: stats.estimator.clone(),
+        seed: stats.seed,
+        hand_revision: stats.hand_revision.clone(),
+    };
     Ok(Outcome {
         hand: hand.to_owned(),
         grasps: response.grasps.iter().map(grasp).collect::<anyhow::Result<_>>()?,
@@ -29,7 +37,37 @@ pub(crate) fn outcome(hand: &str, response: &v1::PlanGraspsResponse) -> anyhow::
         rejected: stats.rejected_counts.iter().map(|(r, &n)| (r.clone(), count(n))).collect(),
         stages: stats.stages.iter().map(|s| (s.name.clone(), duration(&s.duration))).collect(),
         stopped: stats.budget_exhausted,
+        origin,
+        queue: duration(&stats.queue_duration),
+        total: duration(&stats.total_duration),
+        trace: response.trace.iter().map(terms).collect(),
     })
+}
+
+fn workspace(workspace: &v1::Workspace) -> anyhow::Result<Workspace> {
+    let resolution = usize::try_from(workspace.resolution)
+        .with_context(|| format!("the server's answer has a workspace of {} voxels", workspace.resolution))?;
+    Ok(Workspace {
+        world_from_volume: pose(&workspace.pose, "workspace.pose")?,
+        grid: Grid { resolution, size_m: workspace.size_m },
+        table_m: workspace.table_height_m,
+    })
+}
+
+fn terms(t: &v1::ObjectiveTerms) -> ObjectiveTerms {
+    ObjectiveTerms {
+        contact_distance: t.contact_distance,
+        certainty: t.certainty,
+        orientation: t.orientation,
+        centroid: t.centroid,
+        independence: t.independence,
+        net_wrench: t.net_wrench,
+        approach: t.approach,
+        joint_limits: t.joint_limits,
+        coupling: t.coupling,
+        penetration: t.penetration,
+        total: t.total,
+    }
 }
 
 /// The reason as tables and the planner call it, for example `empty_table`.
@@ -40,9 +78,11 @@ fn reason(reason: v1::NoGraspReason) -> String {
 fn grasp(grasp: &v1::Grasp) -> anyhow::Result<GraspOutcome> {
     let parts = grasp.score_parts.unwrap_or_default();
     Ok(GraspOutcome {
+        wrist_link: grasp.wrist_link.clone(),
         world_from_hand: pose(&grasp.wrist_pose, "wrist_pose")?,
         camera_from_hand: pose(&grasp.wrist_pose_in_camera, "wrist_pose_in_camera")?,
         world_from_pregrasp: pose(&grasp.pregrasp_pose, "pregrasp_pose")?,
+        camera_from_pregrasp: pose(&grasp.pregrasp_pose_in_camera, "pregrasp_pose_in_camera")?,
         joints: named(&grasp.joints),
         actuators: named(&grasp.actuators),
         contacts: grasp.contacts.iter().map(contact).collect::<anyhow::Result<_>>()?,
@@ -68,6 +108,7 @@ fn contact(contact: &v1::Contact) -> anyhow::Result<ContactOutcome> {
         normal: Unit::new_normalize(vector(&contact.normal, "contacts.normal")?),
         pad: contact.pad.clone(),
         finger: contact.finger.clone(),
+        link: contact.link.clone(),
         certainty: contact.certainty,
     })
 }

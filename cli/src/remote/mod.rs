@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use graspd_client::{Client, ClientConfig, HandTask, MultiHandEvent, PlanMultiHandRequest};
-use graspd_planner::options::{PlanOptions, SceneOptions};
 use graspd_proto::v1::hand_task_result;
 
 use crate::commands::plan::FrameFiles;
 use crate::hand_source;
+use crate::local::Settings;
 use crate::outcome::Outcome;
 
 /// Hands in one request; the protocol's limit.
@@ -24,12 +24,8 @@ const CALL_TIMEOUT: Duration = Duration::from_secs(120);
 pub(crate) struct Question<'a> {
     /// The frame.
     pub(crate) files: &'a FrameFiles,
-    /// How it is read.
-    pub(crate) scene: &'a SceneOptions,
-    /// How grasps are searched.
-    pub(crate) search: &'a PlanOptions,
-    /// Time for each hand.
-    pub(crate) budget: Option<Duration>,
+    /// How it is read and how grasps are searched.
+    pub(crate) settings: Settings<'a>,
     /// Ids of the hands.
     pub(crate) hands: &'a [String],
 }
@@ -82,14 +78,16 @@ pub(crate) async fn ask(
     }
     let mut answers = Answers { outcomes: Vec::new(), total: Duration::ZERO };
     for hands in question.hands.chunks(HANDS_A_REQUEST) {
+        let settings = &question.settings;
+        let options = to_wire::plan_options(settings.search, settings.budget)?;
         let tasks = hands.iter().enumerate().map(|(i, id)| HandTask {
             task_id: i.to_string(),
             hand: format!("hands/{id}"),
-            options: Some(to_wire::plan_options(question.search, question.budget)),
+            options: Some(options.clone()),
         });
         let request = PlanMultiHandRequest {
             frames: vec![to_wire::frame(question.files)],
-            scene_options: Some(to_wire::scene_options(question.scene)),
+            scene_options: Some(to_wire::scene_options(settings.scene, settings.estimator)),
             tasks: tasks.collect(),
         };
         let mut slots: Vec<Option<Outcome>> = vec![None; hands.len()];

@@ -41,7 +41,7 @@ pub(crate) fn frame(files: &FrameFiles) -> DepthFrame {
 }
 
 /// How the scene is read.
-pub(crate) fn scene_options(options: &SceneOptions) -> v1::SceneOptions {
+pub(crate) fn scene_options(options: &SceneOptions, estimator: Option<&str>) -> v1::SceneOptions {
     let kind = match options.volume {
         VolumeKind::Tsdf => v1::VolumeKind::Tsdf,
         VolumeKind::Occupancy => v1::VolumeKind::Occupancy,
@@ -55,7 +55,7 @@ pub(crate) fn scene_options(options: &SceneOptions) -> v1::SceneOptions {
     };
     v1::SceneOptions {
         volume_kind: kind.into(),
-        estimator: String::new(),
+        estimator: estimator.unwrap_or_default().to_owned(),
         workspace,
         focal_contact_threshold: Some(options.focal_contact_threshold),
         focal_centroid_threshold: Some(options.focal_centroid_threshold),
@@ -65,7 +65,20 @@ pub(crate) fn scene_options(options: &SceneOptions) -> v1::SceneOptions {
 }
 
 /// How grasps are searched.
-pub(crate) fn plan_options(options: &PlanOptions, budget: Option<Duration>) -> v1::PlanOptions {
+///
+/// # Errors
+/// For a budget that the wire cannot carry.
+pub(crate) fn plan_options(
+    options: &PlanOptions,
+    budget: Option<Duration>,
+) -> anyhow::Result<v1::PlanOptions> {
+    let budget = budget
+        .map(|d| {
+            d.try_into().map_err(|_| {
+                anyhow::anyhow!("--budget-ms: found {} s, which no message can carry", d.as_secs())
+            })
+        })
+        .transpose()?;
     let (reaching, direction) = match options.reaching {
         Reaching::TopDown => (v1::Reaching::TopDown, None),
         Reaching::CameraRay => (v1::Reaching::CameraRay, None),
@@ -84,7 +97,7 @@ pub(crate) fn plan_options(options: &PlanOptions, budget: Option<Duration>) -> v
         half_extents_m: Some(vector_message(&k.half_extents_m)),
     });
     let count = |n: usize| i32::try_from(n).unwrap_or(i32::MAX);
-    v1::PlanOptions {
+    Ok(v1::PlanOptions {
         batch_size: count(options.batch),
         scheme: Some(v1::Scheme {
             iteration_count: count(options.scheme.iterations),
@@ -99,14 +112,14 @@ pub(crate) fn plan_options(options: &PlanOptions, budget: Option<Duration>) -> v
         keep_out_boxes: boxes.collect(),
         target,
         seed: options.seed,
-        budget: budget.and_then(|d| d.try_into().ok()),
+        budget,
         max_grasp_count: count(options.max_grasps),
         min_score: Some(options.min_score),
         friction: Some(options.friction),
         pregrasp_offset_m: Some(options.pregrasp_offset_m),
         opening_fraction: Some(options.opening_fraction),
         trace: options.trace,
-    }
+    })
 }
 
 fn vector_message(v: &Vector3<f64>) -> v1::Vector3 {
@@ -118,5 +131,26 @@ fn pose_message(pose: &Isometry3<f64>) -> v1::Pose {
     v1::Pose {
         position: Some(vector_message(&pose.translation.vector)),
         orientation: Some(v1::Quaternion { x: q.x, y: q.y, z: q.z, w: q.w }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_budget_is_carried_or_refused_but_never_dropped() {
+        let options = PlanOptions::default();
+        assert_eq!(plan_options(&options, None).unwrap().budget, None);
+        let carried = plan_options(&options, Some(Duration::from_millis(1500))).unwrap().budget.unwrap();
+        assert_eq!((carried.seconds, carried.nanos), (1, 500_000_000));
+        let message = plan_options(&options, Some(Duration::MAX)).unwrap_err().to_string();
+        assert!(message.starts_with("--budget-ms: found"), "{message}");
+    }
+
+    #[test]
+    fn the_estimator_is_named_only_where_it_was_asked_for() {
+        assert_eq!(scene_options(&SceneOptions::default(), None).estimator, "");
+        assert_eq!(scene_options(&SceneOptions::default(), Some("geometric")).estimator, "geometric");
     }
 }

@@ -95,12 +95,15 @@ pub(crate) fn toy_outcome() -> Outcome {
         normal: nalgebra::Unit::new_normalize(normal),
         pad: "pad".into(),
         finger: "left".into(),
+        link: "left_link".into(),
         certainty: 0.8,
     };
     let grasp = GraspOutcome {
+        wrist_link: "base".into(),
         world_from_hand: at(0.13),
         camera_from_hand: at(0.13),
         world_from_pregrasp: at(0.23),
+        camera_from_pregrasp: at(0.23),
         joints: Named {
             names: vec!["left_slide".into(), "right_slide".into()],
             values: Postures { open: vec![0.0; 2], contact: vec![0.013; 2], squeezed: vec![0.02; 2] },

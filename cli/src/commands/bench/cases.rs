@@ -7,11 +7,12 @@ use graspd_hands::{Hand, library};
 use graspd_planner::budget::Unlimited;
 use graspd_planner::contact_field::ContactField;
 use graspd_planner::estimator::{ContactEstimator as _, Geometric};
-use graspd_planner::frame::Frame;
-use graspd_planner::options::{PlanOptions, SceneOptions, Scheme, VolumeKind};
+use graspd_planner::frame::{CleanOptions, Frame, clean_depth};
+use graspd_planner::options::{PlanOptions, SceneOptions, Scheme, VolumeKind, WorkspaceRequest};
 use graspd_planner::plan;
 use graspd_planner::refine::refine;
 use graspd_planner::scene::Scene;
+use graspd_planner::workspace::{Workspace, frame_points};
 
 use super::stats::time;
 use crate::clock::StdBudget;
@@ -33,8 +34,8 @@ pub(super) struct Bench {
     frame: Frame,
     /// From the bundled frame: volume, estimation, refinement and whole pipelines.
     framed: Scene,
-    /// Where optimizations run: the framed scene, or that of a loaded contact field.
-    scene: Scene,
+    /// Of a contact field, where optimizations run instead of in the framed scene.
+    loaded: Option<Scene>,
     source: String,
 }
 
@@ -47,19 +48,24 @@ impl Bench {
         let (depth, file) = demo_scene::bundled()?;
         let frame = file.frame(&depth, None)?;
         let framed = Observed::Frame(Box::new(frame.clone())).scene(&SceneOptions::default())?;
-        let (scene, source) = match contact_field {
+        let (loaded, source) = match contact_field {
             Some(path) => {
                 let scene = Observed::Field(Box::new(npz::open(path)?)).scene(&SceneOptions::default())?;
-                (scene, path.display().to_string())
+                (Some(scene), path.display().to_string())
             }
-            None => (framed.clone(), "the bundled frame".to_owned()),
+            None => (None, "the bundled frame".to_owned()),
         };
-        Ok(Self { frame, framed, scene, source })
+        Ok(Self { frame, framed, loaded, source })
+    }
+
+    /// Where optimizations run.
+    fn scene(&self) -> &Scene {
+        self.loaded.as_ref().unwrap_or(&self.framed)
     }
 
     /// The scene of the optimizations in words.
     pub(super) fn describe(&self) -> String {
-        let f = &self.scene.features;
+        let f = &self.scene().features;
         format!(
             "optimized in {}: N_fc {}, N_fe {}, N_ee {}",
             self.source,
@@ -72,22 +78,29 @@ impl Bench {
     /// All measurements in the order of the pipeline.
     pub(super) fn cases(&self) -> Vec<Case> {
         let mut cases = vec![
+            case("frame", Self::place),
             case("volume.tsdf", |b| b.volume(VolumeKind::Tsdf)),
             case("volume.occupancy", |b| b.volume(VolumeKind::Occupancy)),
+            case("volume.solid", |b| time(|| b.framed.volume.object_groups(&b.framed.volume.solid()))),
             case("estimate.geometric", |b| time(|| Geometric.estimate(&b.framed.volume, &Unlimited))),
             case("refine", |b| b.refine(&b.framed, &SceneOptions::default())),
         ];
         let hands = || library::ids().iter().filter_map(|id| library::hand(id));
         for hand in hands() {
             cases.push(case(&format!("optimize.{}", hand.id), |b| {
-                optimize(&b.scene, hand, &PlanOptions::default())
+                optimize(b.scene(), hand, &PlanOptions::default())
             }));
         }
         if let Some(antipodal) = library::hand("antipodal") {
             // As Supplementary Note 3 and the reference's measurement: without penetration.
             let scheme = Scheme { iterations: 100, with_penetration: 0 };
             let options = PlanOptions { batch: 500, scheme, ..PlanOptions::default() };
-            cases.push(case("optimize.antipodal.500x100", move |b| optimize(&b.scene, antipodal, &options)));
+            cases.push(case("optimize.antipodal.500x100", move |b| optimize(b.scene(), antipodal, &options)));
+        }
+        for hand in ["robotiq-2f85", "robotiq-3f", "leap"].iter().filter_map(|id| library::hand(id)) {
+            cases.push(case(&format!("rank.{}", hand.id), |b| {
+                stages(b.scene(), hand, &PlanOptions::default(), &["rank"])
+            }));
         }
         for hand in hands() {
             cases.push(case(&format!("plan.{}", hand.id), |b| b.pipeline(&[hand])));
@@ -101,14 +114,14 @@ impl Bench {
             for batch in [12, 24, 48, 96] {
                 let options = PlanOptions { batch, ..PlanOptions::default() };
                 cases.push(case(&format!("scaling.batch.{batch}"), move |b| {
-                    optimize(&b.scene, hand, &options)
+                    optimize(b.scene(), hand, &options)
                 }));
             }
             for iterations in [50, 100, 200, 400] {
                 let scheme = Scheme { iterations, with_penetration: 40 };
                 let options = PlanOptions { scheme, ..PlanOptions::default() };
                 cases.push(case(&format!("scaling.iterations.{iterations}"), move |b| {
-                    optimize(&b.scene, hand, &options)
+                    optimize(b.scene(), hand, &options)
                 }));
             }
             cases.extend(self.focal_contact_cases(hand));
@@ -121,11 +134,15 @@ impl Bench {
         let mut cases: Vec<Case> = Vec::new();
         for t_fc in [0.95, 0.85, 0.7, 0.5, 0.3, 0.1] {
             let options = SceneOptions { focal_contact_threshold: t_fc, ..SceneOptions::default() };
-            let mut scene = self.scene.clone();
-            scene.features = self.features(&scene, &options);
-            let name = format!("scaling.focal-contacts.{}", scene.features.focal_contacts.len());
+            let count = self.features(self.scene(), &options).focal_contacts.len();
+            let name = format!("scaling.focal-contacts.{count}");
             if cases.iter().all(|c| c.name != name) {
-                cases.push(case(&name, move |_| optimize(&scene, hand, &PlanOptions::default())));
+                // The scene is made when it is measured: at most one of them is held at a time.
+                cases.push(case(&name, move |b| {
+                    let features = b.features(b.scene(), &options);
+                    let scene = Scene { features, ..b.scene().clone() };
+                    optimize(&scene, hand, &PlanOptions::default())
+                }));
             }
         }
         cases
@@ -154,6 +171,15 @@ impl Bench {
         })
     }
 
+    /// Cleaning the bundled frame, finding its table and placing the volume on it.
+    fn place(&self) -> Duration {
+        time(|| {
+            let depth = clean_depth(&self.frame.image, &CleanOptions::default());
+            let points = frame_points(&self.frame, &depth);
+            Workspace::place(&WorkspaceRequest::Auto, self.framed.workspace.grid, &points)
+        })
+    }
+
     /// From a frame to grasps, one scene for all hands.
     fn pipeline(&self, hands: &[&Hand]) -> Duration {
         let observed = Observed::Frame(Box::new(self.frame.clone()));
@@ -177,7 +203,11 @@ fn case(name: &str, run: impl Fn(&Bench) -> Duration + 'static) -> Case {
 
 /// The optimization alone: what the plan's own clock says of its stages `initialize` and `optimize`.
 fn optimize(scene: &Scene, hand: &Hand, options: &PlanOptions) -> Duration {
+    stages(scene, hand, options, &["initialize", "optimize"])
+}
+
+/// The time that some stages of a plan take, by the plan's own clock.
+fn stages(scene: &Scene, hand: &Hand, options: &PlanOptions, wanted: &[&str]) -> Duration {
     let plan = plan::plan(scene, hand, options, &StdBudget::new(None), None);
-    let stages = plan.stats.stages.iter();
-    stages.filter(|(name, _)| matches!(*name, "initialize" | "optimize")).map(|(_, d)| *d).sum()
+    plan.stats.stages.iter().filter(|(name, _)| wanted.contains(name)).map(|(_, d)| *d).sum()
 }
