@@ -30,6 +30,7 @@ mod xml_guard;
 mod groups;
 mod opening;
 mod self_collision;
+mod set_cover;
 mod solid;
 mod spheres;
 
