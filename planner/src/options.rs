@@ -94,6 +94,9 @@ pub enum Reaching {
     Free,
 }
 
+/// With a free reaching direction: largest angle from straight down, radians.
+pub(crate) const FREE_CONE_RAD: f64 = 1.3;
+
 /// What orientations a returned grasp may have; holds for every one of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OrientationLimits {
@@ -110,7 +113,14 @@ pub struct OrientationLimits {
 
 impl Default for OrientationLimits {
     fn default() -> Self {
-        Self { cone_rad: std::f64::consts::FRAC_PI_3, roll_rad: None }
+        Self { cone_rad: Self::default_cone_rad(&Reaching::default()), roll_rad: None }
+    }
+}
+
+impl OrientationLimits {
+    /// The cone where the caller names none: π/3, or with a free direction all that it is drawn from, 1.3 rad.
+    pub fn default_cone_rad(reaching: &Reaching) -> f64 {
+        if matches!(reaching, Reaching::Free) { FREE_CONE_RAD } else { std::f64::consts::FRAC_PI_3 }
     }
 }
 

@@ -5,12 +5,10 @@ use rand::RngExt;
 
 use crate::configuration::Configuration;
 use crate::hand_model::HandModel;
-use crate::options::{OrientationLimits, Reaching};
+use crate::options::{FREE_CONE_RAD, OrientationLimits, Reaching};
 
 /// Largest angle between approach axis and reaching direction at initialization (Supplementary Note 4).
 pub(crate) const INITIAL_CONE_RAD: f64 = std::f64::consts::FRAC_PI_6;
-/// With a free reaching direction: largest angle from straight down.
-const FREE_CONE_RAD: f64 = 1.3;
 
 /// The limits of one request, in the volume frame.
 #[derive(Debug, Clone)]

@@ -81,9 +81,10 @@ pub(crate) struct SearchArgs {
     /// Direction along which hands reach: top-down, camera, free, or a direction x,y,z in the world
     #[arg(long, default_value = "top-down", allow_hyphen_values = true, value_parser = parse_reaching)]
     reaching: Reaching,
-    /// Largest angle between the hand's approach and the reaching direction, degrees; 0 for a 4-axis robot
-    #[arg(long, default_value_t = 60.0, value_name = "DEGREES")]
-    cone_deg: f64,
+    /// Largest angle between the hand's approach and the reaching direction (with free: straight down), degrees; 0
+    /// for a 4-axis robot; 60 if left out, 74 with free
+    #[arg(long, value_name = "DEGREES")]
+    cone_deg: Option<f64>,
     /// Allowed rotation about the reaching direction, degrees
     #[arg(long, value_name = "MIN,MAX", allow_hyphen_values = true)]
     roll_deg: Option<Numbers<2, 2>>,
@@ -155,14 +156,15 @@ impl SearchArgs {
             (None, Some(label)) => Some(Target::Label(label)),
             (None, None) => None,
         };
+        let cone_rad = match self.cone_deg {
+            Some(degrees) => within("--cone-deg", degrees, 0.0, 180.0)?.to_radians(),
+            None => OrientationLimits::default_cone_rad(&self.reaching),
+        };
         Ok(PlanOptions {
             batch: self.batch as usize,
             scheme: self.scheme,
             reaching: self.reaching,
-            orientation: OrientationLimits {
-                cone_rad: within("--cone-deg", self.cone_deg, 0.0, 180.0)?.to_radians(),
-                roll_rad,
-            },
+            orientation: OrientationLimits { cone_rad, roll_rad },
             keep_out,
             target,
             seed: self.seed,

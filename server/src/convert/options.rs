@@ -23,8 +23,6 @@ const MOST_ITERATIONS: i32 = 10_000;
 const VOLUME_SIZE_M: (f64, f64) = (0.1, 2.0);
 /// Smallest and largest number of voxels along an edge: 128 keep a frame's fields under 150 MB.
 const VOLUME_RESOLUTION: (i32, i32) = (16, 128);
-/// Largest tilt from straight down where a hand may reach from any direction and nobody says more, radians.
-const FREE_TILT_RAD: f64 = 1.3;
 /// At most this many grasps.
 const MOST_GRASPS: i32 = 1000;
 
@@ -187,10 +185,9 @@ fn scheme(wire: v1::Scheme, path: &str) -> Result<Scheme, FieldError> {
 
 /// Limits where the caller names none: a hand that may reach from anywhere may also tilt as far.
 fn default_orientation(reaching: &Reaching) -> OrientationLimits {
-    let defaults = OrientationLimits::default();
-    match reaching {
-        Reaching::Free => OrientationLimits { cone_rad: FREE_TILT_RAD, ..defaults },
-        _ => defaults,
+    OrientationLimits {
+        cone_rad: OrientationLimits::default_cone_rad(reaching),
+        ..OrientationLimits::default()
     }
 }
 

@@ -43,10 +43,8 @@ async fn of_several_frames_every_one_needs_a_pose() {
     let server = TestServer::start().await;
     let client = server.client().await;
     let scene = BoxScene::default();
-    let plan = PlanGraspsRequest {
-        frames: vec![scene.frame(), scene.frame_without_pose()],
-        ..request(GRIPPER)
-    };
+    let plan =
+        PlanGraspsRequest { frames: vec![scene.frame(), scene.frame_without_pose()], ..request(GRIPPER) };
     let error = call_error(client.plan_grasps(&plan).await);
     assert_eq!(error.code, graspd_client::Code::InvalidArgument, "{error:?}");
     assert!(error.violations.iter().any(|v| v.field == "frames[1].camera_pose"), "{error:?}");
