@@ -46,7 +46,7 @@ impl CallClock {
     /// When an answer must leave even if it is only DEADLINE_EXCEEDED: before the transport's own timer,
     /// which would say CANCELLED.
     pub(crate) fn answer_deadline(&self) -> Option<Instant> {
-        let reserve = |t: Duration| (t / 20).min(Duration::from_millis(3));
+        let reserve = |t: Duration| (t / 20).min(Duration::from_millis(20));
         self.timeout.and_then(|t| self.arrived.checked_add(t.saturating_sub(reserve(t))))
     }
 }

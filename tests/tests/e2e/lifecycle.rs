@@ -113,7 +113,7 @@ async fn a_server_that_ends_finishes_what_runs_and_takes_nothing_new() {
     assert_eq!(watch.next().await.unwrap().unwrap().status(), ServingStatus::Serving);
     let client = server.client().await;
     let mut slow = request_with(STALLS);
-    slow.options.as_mut().unwrap().budget = Some("0.7s".parse().unwrap());
+    slow.options.as_mut().unwrap().budget = Some("1.5s".parse().unwrap());
     let running = tokio::spawn(async move { client.plan_grasps(&slow).await });
     server.busy().await;
     let ended = server.stop();
@@ -141,6 +141,12 @@ async fn calls_that_outlive_the_grace_period_are_cancelled() {
     let ended = server.stop();
     let error = call_error(running.await.unwrap());
     assert!(matches!(error.code, Code::Cancelled | Code::Unavailable), "{error:?}");
-    tokio::time::timeout(Duration::from_secs(5), ended).await.unwrap().unwrap().unwrap();
-    assert_eq!((load.running(), load.waiting()), (0, 0));
+    tokio::time::timeout(Duration::from_secs(30), ended).await.unwrap().unwrap().unwrap();
+    // The server does not wait for a job that it has told to stop; the job goes at its next look.
+    let gone = async {
+        while load.running() + load.waiting() > 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(10), gone).await.unwrap();
 }
