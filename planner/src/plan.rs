@@ -4,7 +4,7 @@ use graspd_hands::Hand;
 use nalgebra::Isometry3;
 
 use crate::budget::{Budget, Stop};
-use crate::grasp::{EmptyReason, NoGrasp, ObjectiveTerms, Plan, PlanStats};
+use crate::grasp::{EmptyReason, NoGrasp, ObjectiveTerms, Plan, PlanStats, RejectReason};
 use crate::hand_model::HandModel;
 use crate::init::Initializer;
 use crate::objective::{Objective, Obstacles, Weights};
@@ -95,12 +95,15 @@ pub fn plan(
         }
     }
     let after_optimization = budget.elapsed();
-    stats.stopped = stats.stopped.or_else(|| budget.stop());
-    if stats.stopped == Some(Stop::Cancelled) {
+    if [stats.stopped, budget.stop()].contains(&Some(Stop::Cancelled)) {
+        stats.stopped = Some(Stop::Cancelled);
         return Plan { stats, no_grasp: Some(out_of_time()), ..Plan::default() };
     }
     let ranking = rank::rank(&judge, &batch.candidates, usize::MAX, budget);
-    stats.stopped = stats.stopped.or_else(|| budget.stop());
+    // A budget that ends when all is done has cost nothing: it stopped planning only if something was left out.
+    if ranking.rejected.contains_key(&RejectReason::Unfinished) {
+        stats.stopped = stats.stopped.or_else(|| budget.stop());
+    }
     stats.candidates = batch.candidates.len();
     stats.iterations = batch.iterations_done();
     stats.stages.push(("initialize", after_init.saturating_sub(begin)));

@@ -290,6 +290,20 @@ fn ranking_keeps_to_the_budget_too() {
 }
 
 #[test]
+fn a_budget_that_ends_when_all_is_done_has_stopped_nothing() {
+    let hand = library::hand("robotiq-2f85").expect("a library hand");
+    let options =
+        PlanOptions { batch: 12, scheme: Scheme { iterations: 60, with_penetration: 60 }, ..quick() };
+    // One look per iteration and none left for the ranking: twelve candidates are judged all the same.
+    let budget = Asked { left: AtomicUsize::new(12 * 60), stop: Stop::Deadline };
+    let result = plan(&CLUTTER, hand, &options, &budget, None);
+    assert_eq!(result.stats.iterations, 60);
+    assert_eq!(result.stats.stopped, None, "{:?}", result.stats.rejected);
+    let all = plan(&CLUTTER, hand, &options, &Unlimited, None);
+    assert_eq!(result.grasps, all.grasps);
+}
+
+#[test]
 fn limits_with_a_free_direction_are_about_straight_down() {
     let down = CLUTTER.workspace.world_from_volume * -Vector3::z();
     let orientation = OrientationLimits { cone_rad: 0.5, roll_rad: None };

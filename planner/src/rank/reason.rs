@@ -93,8 +93,13 @@ pub(crate) fn all_rejected(
         })
         .map(|(_, n)| n)
         .sum();
-    let reason =
-        if 10 * collisions >= 9 * total { EmptyReason::HandTooLarge } else { EmptyReason::AllRejected };
+    let reason = if most == RejectReason::Unfinished {
+        EmptyReason::OutOfTime
+    } else if 10 * collisions >= 9 * total {
+        EmptyReason::HandTooLarge
+    } else {
+        EmptyReason::AllRejected
+    };
     let head = format!("{count} of {total} candidates: {}", most.as_str());
     let by_mm = by * 1e3;
     let span = objective.model.hand.opening.map_or_else(String::new, |o| {
