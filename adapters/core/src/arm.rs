@@ -1,0 +1,102 @@
+//! Robot arms.
+
+use std::time::Duration;
+
+use async_trait::async_trait;
+use nalgebra::Isometry3;
+
+use crate::{DeviceError, FaultKind};
+
+/// What an arm is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ArmInfo {
+    /// Name for logs and errors.
+    pub name: String,
+    /// Model, for example `UR5e`.
+    pub model: String,
+    /// Farthest distance of the flange from the base, metres.
+    pub reach_m: f64,
+    /// True when a newer motion replaces the one that runs; else it is refused with [`DeviceError::Busy`].
+    pub replaces_motion: bool,
+}
+
+/// How fast a motion may be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Speed of the flange, metres per second.
+    pub speed_m_s: f64,
+    /// Acceleration of the flange, metres per second squared.
+    pub acceleration_m_s2: f64,
+}
+
+/// Whether the arm can be moved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ArmMode {
+    /// Powered, brakes released, nothing runs.
+    Ready,
+    /// A motion runs.
+    Moving,
+    /// It stopped itself or was stopped by a person.
+    Stopped(FaultKind),
+    /// Not powered, or brakes on.
+    Off,
+}
+
+/// What an arm reports.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ArmState {
+    /// Whether it can be moved.
+    pub mode: ArmMode,
+    /// Pose of the flange (where the hand's root link is mounted), world frame.
+    pub world_from_flange: Isometry3<f64>,
+    /// Joint positions, radians; empty where the arm does not say.
+    pub joints: Vec<f64>,
+}
+
+/// A robot arm that carries a hand on its flange.
+#[async_trait]
+pub trait Arm: Send + Sync + std::fmt::Debug {
+    /// What it is. Known without asking the device again.
+    fn info(&self) -> ArmInfo;
+
+    /// What it reports now.
+    ///
+    /// # Errors
+    /// [`DeviceError::Timeout`], [`DeviceError::Disconnected`].
+    async fn state(&self, timeout: Duration) -> Result<ArmState, DeviceError>;
+
+    /// Takes the flange to a pose on any path (through the air, not past objects). Ends when it is there.
+    ///
+    /// # Errors
+    /// [`DeviceError::OutOfRange`] for a pose out of reach, before anything moves; [`DeviceError::Fault`] when the
+    /// arm stops itself on the way; [`DeviceError::Timeout`] after having stopped the motion.
+    async fn move_to(
+        &self,
+        world_from_flange: &Isometry3<f64>,
+        limits: Limits,
+        timeout: Duration,
+    ) -> Result<(), DeviceError>;
+
+    /// Takes the flange to a pose on a straight line. Ends when it is there.
+    ///
+    /// # Errors
+    /// As [`Arm::move_to`].
+    async fn move_linear(
+        &self,
+        world_from_flange: &Isometry3<f64>,
+        limits: Limits,
+        timeout: Duration,
+    ) -> Result<(), DeviceError>;
+
+    /// Stops any motion with bounded deceleration. Ends when the arm stands.
+    ///
+    /// # Errors
+    /// [`DeviceError::Timeout`], [`DeviceError::Disconnected`].
+    async fn stop(&self, timeout: Duration) -> Result<(), DeviceError>;
+
+    /// Releases a protective stop or a fault that may be released by software; no motion is resumed.
+    ///
+    /// # Errors
+    /// [`DeviceError::Fault`] when a person is needed.
+    async fn clear_fault(&self, timeout: Duration) -> Result<(), DeviceError>;
+}

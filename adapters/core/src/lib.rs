@@ -1,0 +1,24 @@
+//! What a depth camera, a robot arm and a robotic hand are to a robot cell: three traits and one error.
+//!
+//! # What every implementor guarantees
+//! - **Shared.** Methods take `&self`; calls from several tasks are safe. A second motion while one runs replaces it
+//!   where the capability says so, else it is refused with [`DeviceError::Busy`].
+//! - **Bounded.** Each call ends within its `timeout` with an answer or [`DeviceError::Timeout`]. A device that does
+//!   not answer never hangs its caller.
+//! - **Cancel-safe.** Dropping a future leaves the device usable. Dropping the future of a *motion* stops the motion
+//!   as [`Arm::stop`] does; dropping a query loses nothing but its answer.
+//! - **Honest.** An `Ok` means that the device said so. What was commanded is never reported as what was reached.
+//! - **Typed.** Every failure is a [`DeviceError`] that says what was asked, what was found, what was expected.
+//!
+//! SI units; poses as `world_from_x`, unit quaternions.
+
+mod arm;
+mod camera;
+mod error;
+mod hand;
+
+pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits};
+pub use async_trait::async_trait;
+pub use camera::{CameraInfo, DepthCamera, DepthFrame, Lens};
+pub use error::{DeviceError, FaultKind};
+pub use hand::{GripCommand, Hand, HandInfo, HandState};
