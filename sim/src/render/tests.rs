@@ -245,8 +245,7 @@ proptest! {
     #[test]
     fn shapes_are_seen_where_they_are(x in -0.2..0.2f64, y in -0.2..0.2f64, radius in 0.02..0.1f64) {
         let shape = Shape::Sphere { radius };
-        let (vertices, triangles) = solids::triangulate(&shape);
-        let mesh = Mesh { vertices: vertices.into_owned(), triangles: triangles.into_owned() };
+        let mesh = solids::triangulate(&shape).into_mesh();
         let mut instance = instance(&mesh, 2);
         instance.world_from_mesh = Isometry3::translation(x, y, 0.0);
         let eye = look_at(&Point3::new(0.0, 0.0, 1.0), &Point3::origin(), &Vector3::z());

@@ -107,7 +107,7 @@ impl<'a> Exposure<'a> {
         let width = view.lens.width;
         let (first, last) = lit(&self.sensor.illumination, &view.lens, row);
         let last_row = view.lens.height - 1;
-        for column in first..last {
+        for (column, out) in out.iter_mut().enumerate().take(last).skip(first) {
             let i = row * width + column;
             let inverse = self.inverse[i];
             if inverse == 0.0 {
@@ -142,7 +142,7 @@ impl<'a> Exposure<'a> {
                 z = (z * per_quantum + 0.5) as i32 as f32 * quantum;
             }
             if z > 0.0 && z >= self.range[0] && z <= self.range[1] {
-                out[column] = z;
+                *out = z;
             }
         }
     }
