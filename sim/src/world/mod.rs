@@ -11,10 +11,10 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::prelude::{
     CoefficientCombineRule, ColliderBuilder, FrictionModel, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle,
-    SharedShape,
 };
 
 use crate::convert;
+use crate::hull;
 use crate::object::Object;
 
 /// Names an object of a [`World`]; never used twice.
@@ -70,6 +70,8 @@ impl World {
         p.length_unit = 0.1;
         p.num_solver_iterations = settings.solver_iterations;
         p.friction_model = FrictionModel::Coulomb;
+        // Recycled contacts save half of the time, but some things then creep or rock for seconds.
+        p.contact_recycling = false;
         let half = settings.table_half_extent_m;
         let table = RigidBodyBuilder::fixed().translation(convert::vector(&Vector3::new(0.0, 0.0, -0.05)));
         physics.insert(table, ColliderBuilder::cuboid(half, half, 0.05).friction(settings.table_friction));
@@ -97,12 +99,10 @@ impl World {
 
     /// Puts an object into the world, at rest.
     pub fn add(&mut self, object: Arc<Object>, world_from_object: &Isometry3<f64>) -> ObjectId {
-        let shapes: Vec<_> = object
-            .parts
-            .iter()
-            .filter_map(|part| SharedShape::convex_hull(&part.iter().map(convert::point).collect::<Vec<_>>()))
-            .collect();
-        let body = RigidBodyBuilder::dynamic().pose(convert::pose(world_from_object)).ccd_enabled(true);
+        let shapes: Vec<_> = object.parts.iter().filter_map(|part| hull::shape(part)).collect();
+        // The engine has no rolling friction: without some damping, round things would roll for ever.
+        let body = RigidBodyBuilder::dynamic().angular_damping(1.0).ccd_enabled(true);
+        let body = body.pose(convert::pose(world_from_object));
         let body = self.physics.insert_body(body);
         let volume: f64 = shapes.iter().map(|s| s.mass_properties(1.0).mass()).sum();
         for shape in shapes {
@@ -180,21 +180,9 @@ impl World {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::Mesh;
-    use crate::object::Surface;
 
     fn cube() -> Arc<Object> {
-        let mesh = Mesh::cuboid(Vector3::new(0.03, 0.02, 0.025));
-        let parts = vec![mesh.vertices.clone()];
-        let surface = Surface::default();
-        Arc::new(Object {
-            name: "box".into(),
-            mesh: mesh.into(),
-            parts,
-            mass_kg: 0.2,
-            friction: 0.5,
-            surface,
-        })
+        Arc::new(Object::cuboid("box", Vector3::new(0.03, 0.02, 0.025)).unwrap())
     }
 
     #[test]
