@@ -4,11 +4,11 @@ mod hands;
 mod settings;
 
 pub use hands::{Command, HandContact, HandId, HandState, Touched};
-pub use settings::{Tray, WorldSettings};
+pub use settings::{HandSettings, Tray, WorldSettings};
 
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::prelude::{
     CoefficientCombineRule, ColliderBuilder, FrictionModel, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle,
 };
@@ -27,6 +27,9 @@ impl ObjectId {
         self.0
     }
 }
+
+/// Marks the colliders of the tray; the table's have 0.
+const TRAY: u128 = 1;
 
 /// An object in the world.
 #[derive(Debug)]
@@ -69,6 +72,8 @@ impl World {
         // Things here are centimetres, not metres: tolerances follow.
         p.length_unit = 0.1;
         p.num_solver_iterations = settings.solver_iterations;
+        p.contact_softness.natural_frequency = settings.contact_hz;
+        p.static_contact_softness.natural_frequency = 2.0 * settings.contact_hz;
         p.friction_model = FrictionModel::Coulomb;
         // Recycled contacts save half of the time, but some things then creep or rock for seconds.
         p.contact_recycling = false;
@@ -80,7 +85,9 @@ impl World {
                 let wall = RigidBodyBuilder::fixed().translation(convert::vector(&center));
                 physics.insert(
                     wall,
-                    ColliderBuilder::cuboid(half.x, half.y, half.z).friction(settings.table_friction),
+                    ColliderBuilder::cuboid(half.x, half.y, half.z)
+                        .friction(settings.table_friction)
+                        .user_data(TRAY),
                 );
             }
         }
@@ -157,6 +164,15 @@ impl World {
         true
     }
 
+    /// Distance from a point (world frame) to an object, metres; 0 inside; `None` when it is not in the world.
+    pub fn distance(&self, id: ObjectId, point: &Point3<f64>) -> Option<f64> {
+        let body = self.physics.bodies.get(self.placed(id)?.body)?;
+        let colliders = body.colliders().iter().filter_map(|&c| self.physics.colliders.get(c));
+        colliders
+            .map(|c| c.shape().distance_to_point(c.position(), convert::point(point), true))
+            .reduce(f64::min)
+    }
+
     /// Mechanical energy of the objects, joules: kinetic, and potential above the table.
     pub fn energy(&self) -> f64 {
         self.objects
@@ -168,12 +184,63 @@ impl World {
 
     /// One step of [`WorldSettings::dt_s`].
     pub fn step(&mut self) {
+        // Fingers squeeze light links between stiff springs: one more pass takes the velocities that pushing apart
+        // overlaps has left in their joints.
+        let passes = if self.hands.is_empty() { 1 } else { 2 };
+        self.physics.integration_parameters.num_internal_stabilization_iterations = passes;
+        for hand in &mut self.hands {
+            hand.drive(&mut self.physics, &self.settings.hands, self.settings.dt_s);
+        }
         self.physics.step();
         self.steps += 1;
     }
 
     fn placed(&self, id: ObjectId) -> Option<&Placed> {
         self.objects.iter().find(|p| p.id == id)
+    }
+}
+
+/// Objects for the tests of this crate's worlds.
+#[cfg(test)]
+pub(crate) mod samples {
+    use super::*;
+    use crate::mesh::Mesh;
+    use crate::object::Surface;
+
+    /// A convex object from its corners.
+    pub(crate) fn convex(name: &str, points: Vec<Point3<f64>>, mass_kg: f64, friction: f64) -> Arc<Object> {
+        let mesh = Mesh { vertices: points.clone(), triangles: Vec::new() };
+        let surface = Surface::default();
+        Arc::new(Object {
+            name: name.into(),
+            mesh: mesh.into(),
+            parts: vec![points],
+            mass_kg,
+            friction,
+            surface,
+        })
+    }
+
+    /// A box with these half extents.
+    pub(crate) fn cuboid(half: [f64; 3], mass_kg: f64, friction: f64) -> Arc<Object> {
+        convex("box", Mesh::cuboid(half.into()).vertices, mass_kg, friction)
+    }
+
+    /// A cylinder along z.
+    pub(crate) fn cylinder(radius: f64, half: f64, mass_kg: f64) -> Arc<Object> {
+        let ring = (0..32).map(|k| f64::from(k) * std::f64::consts::TAU / 32.0);
+        let at = |a: f64, z: f64| Point3::new(radius * a.cos(), radius * a.sin(), z);
+        convex("cylinder", ring.flat_map(|a| [at(a, -half), at(a, half)]).collect(), mass_kg, 0.5)
+    }
+
+    /// A ball.
+    pub(crate) fn ball(radius: f64, mass_kg: f64) -> Arc<Object> {
+        let step = std::f64::consts::PI / 16.0;
+        let at = |i: i32, k: i32| {
+            let (a, b) = (f64::from(i) * step, f64::from(k) * step);
+            Point3::from(radius * Vector3::new(a.sin() * b.cos(), a.sin() * b.sin(), a.cos()))
+        };
+        convex("ball", (0..=16).flat_map(|i| (0..32).map(move |k| at(i, k))).collect(), mass_kg, 0.5)
     }
 }
 
