@@ -13,7 +13,7 @@ mod replay;
 mod report;
 
 // Average precision of the parallel jaw.
-pub mod ap;
+// AP
 
 // Numbers and how they are shown.
 pub mod statistics;

@@ -2,13 +2,27 @@
 //! (Supplementary Note 7).
 
 use graspd_planner::frame::{DepthImage, Frame, Intrinsics};
-use graspd_planner::options::{SceneOptions, VolumeKind, WorkspaceRequest};
+use graspd_planner::options::{Region, SceneOptions, VolumeKind, WorkspaceRequest};
 use graspd_planner::workspace::TABLE_HEIGHT_M;
 use graspd_sim::camera::look_at;
 use graspd_sim::render::capture;
 use graspd_sim::sensor::Sensor;
 use graspd_sim::world::{Tray, World, WorldSettings};
 use nalgebra::{Isometry3, Point3, Vector3};
+
+/// Depth noise smears walls by about this much, metres.
+const WALL_NOISE_M: f64 = 0.008;
+/// Nothing in a tray reaches higher, metres.
+const HIGHEST_M: f64 = 0.3;
+
+/// What lies between a tray's walls.
+fn inside(tray: &Tray) -> Region {
+    let side = |inner: f64| 0.5 * inner - WALL_NOISE_M;
+    Region {
+        world_from_box: Isometry3::translation(0.0, 0.0, 0.5 * HIGHEST_M),
+        half_extents_m: Vector3::new(side(tray.width_m), side(tray.length_m), 0.5 * HIGHEST_M),
+    }
+}
 
 /// A world's settings and the camera that looks at it.
 #[derive(Debug, Clone, PartialEq)]
@@ -63,7 +77,8 @@ impl Station {
         let options = SceneOptions { volume, ..SceneOptions::default() };
         let half = 0.5 * options.grid.size_m;
         let world_from_volume = Isometry3::translation(-half, -half, -TABLE_HEIGHT_M);
-        SceneOptions { workspace: WorkspaceRequest::Placed { world_from_volume, table_m: None }, ..options }
+        let workspace = WorkspaceRequest::Placed { world_from_volume, table_m: None };
+        SceneOptions { workspace, region: self.world.tray.as_ref().map(inside), ..options }
     }
 
     /// True when a point lies over the tray's floor (over the table's middle, without a tray), not more than

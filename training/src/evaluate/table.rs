@@ -47,7 +47,7 @@ impl Table {
     /// A Markdown table.
     pub(crate) fn markdown(&self) -> String {
         let mut lines: Vec<String> = self.lines(" | ").iter().map(|line| format!("| {line} |\n")).collect();
-        let rule = self.widths().iter().enumerate().map(|(c, &w)| {
+        let rule = self.widths().into_iter().enumerate().map(|(c, w)| {
             if c == 0 { format!("{}|", "-".repeat(w + 2)) } else { format!("{}:|", "-".repeat(w + 1)) }
         });
         let rule: String = rule.collect();
