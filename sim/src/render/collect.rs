@@ -116,4 +116,9 @@ impl<'a> Sight<'a> {
     pub(crate) fn kind(&self, piece: u32) -> Option<Kind> {
         self.parts.get(piece as usize).map(|p| p.kind)
     }
+
+    /// What a piece gives back of light.
+    pub(crate) fn surface(&self, piece: u32) -> Option<Surface> {
+        self.parts.get(piece as usize).map(|p| p.surface)
+    }
 }

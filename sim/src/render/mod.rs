@@ -1,8 +1,12 @@
 //! What a perfect depth camera would see: triangles rasterized into a z-buffer.
 
 mod collect;
+mod palette;
+mod picture;
 mod raster;
 pub mod solids;
+
+pub use picture::{RgbImage, depth_picture, picture};
 
 use nalgebra::Isometry3;
 
