@@ -115,6 +115,9 @@ pub struct WorldSettings {
     pub dt_s: f64,
     /// Iterations of the contact solver in a step.
     pub solver_iterations: usize,
+    /// Natural frequency of contacts, hertz: how hard touching bodies are. At 200 a gripper's rubber pads give way
+    /// by 0.2 mm under 100 N.
+    pub contact_hz: f64,
     /// Acceleration towards −z, metres per second squared.
     pub gravity: f64,
     /// Half the side of the square table, metres.
@@ -134,6 +137,7 @@ impl Default for WorldSettings {
         Self {
             dt_s: 1.0 / 400.0,
             solver_iterations: 4,
+            contact_hz: 200.0,
             gravity: 9.81,
             table_half_extent_m: 0.6,
             table_friction: 0.5,

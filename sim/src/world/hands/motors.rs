@@ -123,6 +123,11 @@ impl Motors {
         let q = body.positions(physics, &hand.tree);
         let speeds = body.velocities(physics, &hand.tree);
         let u = self.coordinates(hand, drives, &q);
+        for (j, role) in drives.roles.iter().enumerate() {
+            if matches!(role, Role::Lead { .. } | Role::Follower { pulled_by: Some(_), .. }) {
+                body.damp(physics, j, self.damping(&drives.servos[j]));
+            }
+        }
         self.lead(hand, drives, &u, &speeds, settings, dt);
         for (j, role) in drives.roles.iter().enumerate() {
             let (servo, row) = (&drives.servos[j], &hand.actuation.rows[j]);
@@ -177,11 +182,16 @@ impl Motors {
         self.rest_s = if rests { self.rest_s + dt } else { 0.0 };
     }
 
+    /// Damping of a motor: less where a small force has to move it at its speed.
+    fn damping(&self, servo: &Servo) -> f64 {
+        servo.damping.min(self.force * servo.effort / (2.0 * self.speed * servo.speed))
+    }
+
     /// A servo's spring for this step.
     fn pull(&mut self, j: usize, servo: &Servo, force: f64, goal: f64, q: f64, speed: f64) -> (f64, f64) {
         let most = force * servo.effort;
         let wanted = servo.stiffness * (goal - q);
-        self.exerted[j] = wanted.clamp(-most, most) - servo.damping * speed;
+        self.exerted[j] = wanted.clamp(-most, most) - self.damping(servo) * speed;
         if wanted.abs() <= most {
             (servo.stiffness, goal)
         } else {
