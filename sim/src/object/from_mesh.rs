@@ -16,7 +16,9 @@ pub(crate) const MOST_TRIANGLES: usize = 200_000;
 /// Smallest and largest extent along each axis, metres.
 const EXTENTS_M: (f64, f64) = (0.001, 1.0);
 /// Most convex parts.
-pub(crate) const MOST_PARTS: usize = 64;
+const MOST_PARTS: usize = 64;
+/// Most points of a convex part.
+const MOST_CORNERS: usize = 20_000;
 /// Resolution of the decomposition's voxels along the longest side.
 const RESOLUTION: u32 = 64;
 
@@ -92,7 +94,7 @@ impl Object {
 }
 
 /// A mesh whose numbers can be worked with.
-pub(crate) fn check_size(mesh: Mesh) -> Result<Mesh, ObjectError> {
+fn check_size(mesh: Mesh) -> Result<Mesh, ObjectError> {
     let wrong = |found: String, expected| Err(ObjectError::Mesh { found, expected });
     let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
     if !(4..=MOST_TRIANGLES).contains(&triangles) || vertices > 3 * MOST_TRIANGLES {
@@ -143,7 +145,7 @@ fn weld(mesh: Mesh) -> Mesh {
 }
 
 /// A closed mesh with a volume, turned outwards.
-pub(crate) fn check_solid(mut mesh: Mesh) -> Result<Mesh, ObjectError> {
+fn check_solid(mut mesh: Mesh) -> Result<Mesh, ObjectError> {
     // Each edge is passed as often one way as the other.
     let mut passes: HashMap<(u32, u32), i64> = HashMap::new();
     for t in &mesh.triangles {
@@ -176,9 +178,26 @@ pub(crate) fn check_solid(mut mesh: Mesh) -> Result<Mesh, ObjectError> {
     Ok(mesh)
 }
 
-/// True when points span a convex body that physics can work with.
-pub(crate) fn is_convex_part(points: &[Point3<f64>]) -> bool {
-    hull(points).is_some()
+/// Checks a mesh and parts that were an object's once: a solid, and convex parts near it.
+pub(crate) fn check_mesh(mesh: Mesh, parts: &[Vec<Point3<f64>>]) -> Result<Mesh, ObjectError> {
+    let mesh = check_solid(check_size(mesh)?)?;
+    let wrong = |found: String, expected| Err(ObjectError::Mesh { found, expected });
+    if !(1..=MOST_PARTS).contains(&parts.len()) {
+        return wrong(format!("{} parts", parts.len()), "1 to 64 convex parts");
+    }
+    let far = |p: &Point3<f64>| !p.iter().all(|c| c.abs() <= 2.0 * EXTENTS_M.1);
+    for (index, part) in parts.iter().enumerate() {
+        if part.len() > MOST_CORNERS {
+            return wrong(format!("part {index} of {} points", part.len()), "at most 20,000 points");
+        }
+        if let Some(p) = part.iter().find(|p| far(p)) {
+            return wrong(format!("part {index}: {:?}", p.coords.as_slice()), "points near the mesh");
+        }
+        if hull(part).is_none() {
+            return wrong(format!("part {index} without a volume"), "convex parts with a volume");
+        }
+    }
+    Ok(mesh)
 }
 
 /// Corners of the convex hull; `None` for points that span no volume.

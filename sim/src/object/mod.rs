@@ -14,6 +14,7 @@ pub use compound::{Ell, Hammer, Mug, Ring, Tee};
 pub use convex::{Ball, Capsule, Cuboid, Cylinder, Frustum, Superquadric};
 pub use family::{Family, Kind};
 pub use from_mesh::{Filling, MeshOptions};
+pub(crate) use from_mesh::{MOST_TRIANGLES, check_mesh};
 pub use revolved::{Bottle, Bowl, Can, Cup};
 pub use small::{Block, Disc, Nut, Peg, Plate};
 
@@ -31,9 +32,9 @@ use crate::mesh::Mesh;
 /// Lightest and heaviest household object that is drawn, kilograms.
 const MASSES_KG: (f64, f64) = (0.02, 0.8);
 /// Lightest and heaviest object that is accepted, kilograms.
-pub(crate) const MASS_LIMITS_KG: (f64, f64) = (1e-4, 100.0);
+const MASS_LIMITS_KG: (f64, f64) = (1e-4, 100.0);
 /// Largest coefficient of friction that is accepted.
-pub(crate) const MOST_FRICTION: f64 = 10.0;
+const MOST_FRICTION: f64 = 10.0;
 
 /// How a surface answers to a depth camera's light.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

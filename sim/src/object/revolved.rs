@@ -198,12 +198,12 @@ impl Solid for Bowl {
         };
         let mut levels = vec![[self.foot_radius_m, 0.0]];
         levels.extend((0..=LEVELS).map(|i| {
-            // Closer together where the profile bends more, near the foot.
-            let share = i as f64 / LEVELS as f64;
-            let z = b + (h - b) * share * share;
+            // Even in the ellipse's angle: closer together where it runs flat, near the foot.
+            let share = 1.0 - (FRAC_PI_2 * i as f64 / LEVELS as f64).cos();
+            let z = b + (h - b) * share;
             [radius(z), z]
         }));
-        vessel(&levels, b, 3)
+        vessel(&levels, b, 2)
     }
 
     fn draw(rng: &mut Xoshiro256PlusPlus) -> Self {

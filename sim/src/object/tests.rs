@@ -40,8 +40,13 @@ fn every_family_gives_closed_solids_of_household_size_filled_by_its_parts() {
             assert!((0.3..0.9).contains(&object.friction));
             let volume = object.mesh.volume();
             let parts: f64 = object.parts.iter().map(|p| hull_volume(p)).sum();
-            // Hollow walls lose a little between chords; joined shells count twice in both.
-            assert!(volume > 0.0 && (parts / volume - 1.0).abs() < 0.2, "{name}: {parts} of {volume} m³");
+            // Joined shells count twice in both. Hollows lose what lies between the chords of their walls.
+            let hollow = matches!(kind, Kind::Cup | Kind::Mug | Kind::Bowl);
+            let most = if hollow { 1.4 } else { 1.06 };
+            assert!(
+                volume > 0.0 && (0.99..most).contains(&(parts / volume)),
+                "{name}: {parts} of {volume} m³"
+            );
             assert!(centroid(&object.parts).norm() < 1e-9);
         }
     }
@@ -52,7 +57,7 @@ fn volumes_of_simple_families_are_the_textbook_ones() {
     let volume =
         |family| Object::from_family("x", family, 0.1, 0.5, Surface::default()).unwrap().mesh.volume();
     let pi = std::f64::consts::PI;
-    let close = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 0.05, "{a} is not about {b}");
+    let close = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 0.06, "{a} is not about {b}");
     close(volume(Family::Cylinder(Cylinder { radius_m: 0.03, height_m: 0.1 })), pi * 0.03_f64.powi(2) * 0.1);
     close(volume(Family::Sphere(Ball { radius_m: 0.03 })), 4.0 / 3.0 * pi * 0.03_f64.powi(3));
     close(

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use clap::Args;
 use graspd_sim::camera::{Pinhole, look_at};
-use graspd_sim::execute::{GraspCommand, Moment};
+use graspd_sim::execute::Moment;
 use graspd_sim::render::{RgbImage, capture, depth_picture, picture};
 use graspd_sim::world::World;
 use graspd_training::evaluate::{FailedTrial, Replay, Station, plan_again, replay};
@@ -48,14 +48,16 @@ pub(crate) fn run(args: &LookArgs) -> anyhow::Result<()> {
     let estimator = local::estimator(args.estimator.as_deref())?;
 
     let mut panels: Vec<RgbImage> = Vec::new();
-    let mut focus = trial.command.as_ref().map_or(Vector3::zeros(), middle);
-    let mut watch = |_: Moment, world: &World| {
+    let mut focus = Point3::origin();
+    let mut watch = |moment: Moment, world: &World| {
         if args.out.is_some() {
+            if moment == Moment::Before {
+                focus = middle(world);
+            }
             panels.push(panel(world, &focus));
         }
     };
     let result = if args.plan {
-        focus = Vector3::zeros();
         plan_again(&trial, &hand, &*estimator, &mut watch)?
     } else {
         replay(&trial, &hand, &*estimator, &mut watch)?
@@ -112,14 +114,17 @@ fn describe(trial: &FailedTrial, result: &Replay) -> String {
     text
 }
 
-/// Where to look: the hand at the grasp.
-fn middle(command: &GraspCommand) -> Vector3<f64> {
-    let hand = command.world_from_hand.translation.vector;
-    Vector3::new(hand.x, hand.y, 0.5 * hand.z)
+/// Where to look: half-way between the table and the hand that is about to grasp, over the tray without one.
+fn middle(world: &World) -> Point3<f64> {
+    let hand = world.hand_ids().first().and_then(|&id| world.hand_state(id));
+    hand.map_or_else(Point3::origin, |state| {
+        let t = state.world_from_hand.translation.vector;
+        Point3::new(t.x, t.y, 0.25 * t.z)
+    })
 }
 
 /// The world from the front, near the grasp.
-fn panel(world: &World, focus: &Vector3<f64>) -> RgbImage {
+fn panel(world: &World, focus: &Point3<f64>) -> RgbImage {
     let [width, height] = PANEL_PX;
     let lens = Pinhole {
         width,
@@ -129,7 +134,7 @@ fn panel(world: &World, focus: &Vector3<f64>) -> RgbImage {
         cx_px: (width as f64 - 1.0) / 2.0,
         cy_px: (height as f64 - 1.0) / 2.0,
     };
-    let target = Point3::from(*focus) + Vector3::new(0.0, 0.0, 0.04);
+    let target = focus + Vector3::new(0.0, 0.0, 0.04);
     let world_from_camera: Isometry3<f64> =
         look_at(&(target + Vector3::new(0.3, -0.5, 0.32)), &target, &Vector3::z());
     picture(world, &lens, &world_from_camera)
