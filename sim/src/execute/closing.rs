@@ -1,17 +1,19 @@
 //! How fingers close on whatever is between them: all at once, until each is held.
 //!
 //! A finger with one motor goes on until its force limit holds it (or it can go no further). A finger with several
-//! motors would curl into itself that way; it goes to the commanded squeeze and presses with its servos' springs,
-//! and, where it has met nothing by then, on in the same direction until it does.
+//! motors would curl into itself that way; it goes to the commanded squeeze, where its servos press like springs, and
+//! on in the same direction, all joints in proportion, until one of its motors is held.
 
 use graspd_hands::{CoordinateKind, Hand};
 
 use super::GraspCommand;
 
-/// A finger that has met nothing goes on in steps of this share of its squeeze ...
-const STEP: f64 = 0.05;
+/// A finger that is not held goes on in steps of this share of its squeeze ...
+const STEP: f64 = 0.1;
 /// ... for at most this many squeezes.
 const FARTHEST: f64 = 12.0;
+/// A motor is held by its force limit when it gives this share of it.
+const HELD: f64 = 0.95;
 /// Squeeze of an actuator that was given none, radians or metres as a share of its range.
 const LEAST: f64 = 0.02;
 
@@ -32,8 +34,6 @@ struct Closer {
     shared: bool,
     /// How far it has gone beyond the commanded squeeze, in squeezes.
     beyond: f64,
-    /// True once a shared closer has met something.
-    met: bool,
 }
 
 /// The closing of one hand.
@@ -76,7 +76,6 @@ impl Closing {
                 squeeze,
                 shared: false,
                 beyond: 0.0,
-                met: false,
             });
         }
         for at in 0..closers.len() {
@@ -95,31 +94,25 @@ impl Closing {
         &self.targets
     }
 
-    /// Lets fingers that have met nothing go on. `touching` are the links that touch an object. `true` when a
-    /// target has changed.
-    pub(super) fn go_on(&mut self, touching: &[usize]) -> bool {
+    /// Lets fingers of several motors go on: those that have met nothing until they do, those that touch until one
+    /// of their motors is held by its force limit. `touching` are the links that touch an object, `loads` the
+    /// efforts of the actuators as shares of what they were allowed. `true` when a target has changed.
+    pub(super) fn go_on(&mut self, touching: &[usize], loads: &[f64]) -> bool {
+        let full = |c: &&Closer| {
+            let touches = c.links.iter().any(|l| touching.contains(l));
+            touches && loads.get(c.actuator).is_some_and(|&load| load >= HELD)
+        };
+        let held: Vec<usize> = self.closers.iter().filter(full).flat_map(|c| c.fingers.clone()).collect();
         let mut changed = false;
-        let met: Vec<usize> = self
-            .closers
-            .iter()
-            .filter(|c| c.shared && c.links.iter().any(|l| touching.contains(l)))
-            .flat_map(|c| c.fingers.clone())
-            .collect();
-        for closer in self.closers.iter_mut().filter(|c| c.shared) {
-            let touches = closer.fingers.iter().any(|f| met.contains(f));
-            let step = match (touches, closer.met) {
-                (true, false) if closer.beyond > 0.0 => 1.0,
-                (false, false) if closer.beyond < FARTHEST => STEP,
-                _ => 0.0,
-            };
-            closer.met |= touches;
-            if step > 0.0 {
-                closer.beyond += step;
-                let next = self.targets[closer.actuator] + step * closer.squeeze;
-                let next = if closer.squeeze > 0.0 { next.min(closer.limit) } else { next.max(closer.limit) };
-                changed |= next != self.targets[closer.actuator];
-                self.targets[closer.actuator] = next;
+        for closer in self.closers.iter_mut().filter(|c| c.shared && c.beyond < FARTHEST) {
+            if closer.fingers.iter().any(|f| held.contains(f)) {
+                continue;
             }
+            closer.beyond += STEP;
+            let next = self.targets[closer.actuator] + STEP * closer.squeeze;
+            let next = if closer.squeeze > 0.0 { next.min(closer.limit) } else { next.max(closer.limit) };
+            changed |= next != self.targets[closer.actuator];
+            self.targets[closer.actuator] = next;
         }
         changed
     }

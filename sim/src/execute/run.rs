@@ -22,6 +22,8 @@ const LOOSE_M_S: f64 = 0.1;
 const SLIPPED_M: f64 = 0.01;
 /// Contact forces are averaged over this time before the arm judges them, seconds.
 const FORCE_S: f64 = 0.01;
+/// By this time fingers have reached their commanded squeeze, or are held, seconds.
+const REACHED_S: f64 = 0.8;
 /// Time between looks at which fingers touch, seconds.
 const LOOK_S: f64 = 0.02;
 
@@ -165,25 +167,31 @@ impl Run<'_> {
     /// All fingers at once, until nothing moves any more.
     fn close(&mut self, grasp: &GraspCommand) {
         let mut closing = Closing::new(&self.model, grasp);
+        let force = self.settings.grip_force;
+        let full = self.world.full_efforts(self.hand).unwrap_or_default();
         let look = self.steps(LOOK_S).max(1);
+        let reached = self.steps(REACHED_S);
         let mut told = false;
         for step in 0..self.steps(self.settings.close_s) {
             if !told {
                 let actuators = closing.targets().to_vec();
-                let force = self.settings.grip_force;
                 self.world.command(self.hand, Command::Close { actuators, force, speed: 1.0 });
                 told = true;
             }
             self.world.step();
-            if step % look != 0
-                || !self.world.hand_state(self.hand).is_some_and(|s| s.settled || step > look * 20)
-            {
+            if step % look != 0 {
+                continue;
+            }
+            let Some(state) = self.world.hand_state(self.hand) else { return };
+            if !state.settled && step < reached {
                 continue;
             }
             let touching: Vec<usize> = self.object_contacts().iter().map(|c| c.link).collect();
-            if closing.go_on(&touching) {
+            let loads: Vec<f64> =
+                state.efforts.iter().zip(&full).map(|(e, full)| e / (force * full).max(1e-9)).collect();
+            if closing.go_on(&touching, &loads) {
                 told = false;
-            } else if self.world.hand_state(self.hand).is_none_or(|s| s.settled) {
+            } else if state.settled {
                 return;
             }
         }

@@ -71,6 +71,9 @@ pub struct HandSettings {
     pub full_effort_rad: f64,
     /// Position error at which a prismatic actuator gives its full effort, metres.
     pub full_effort_m: f64,
+    /// Effort at which an actuator that presses with all it was allowed is pushed back, as a multiple of its full
+    /// effort: worm gears, lead screws and high reductions hold more than the motor drives. 0: no more than that.
+    pub back_drive: f64,
     /// Ratio of an actuator's damping to its stiffness, seconds.
     pub servo_time_s: f64,
     /// Stiffness with which adaptive joints return to what their mechanism prefers, share of the driving effort
@@ -99,6 +102,7 @@ impl Default for HandSettings {
             slide_m_s: 0.1,
             full_effort_rad: 0.2,
             full_effort_m: 0.004,
+            back_drive: 2.0,
             servo_time_s: 0.02,
             adaptive_stiffness: 0.1,
             adaptive_time_s: 0.05,

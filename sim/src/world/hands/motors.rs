@@ -34,6 +34,8 @@ pub(super) struct Motors {
     exerted: Vec<f64>,
     /// Torque handed on to each adaptive joint, smoothed.
     handed: Vec<f64>,
+    /// Where each joint has been driven to, and in which direction: gears do not let it be pushed back from there.
+    latched: Vec<Option<(f64, f64)>>,
     /// How long every actuator has been at rest, seconds.
     rest_s: f64,
 }
@@ -49,6 +51,7 @@ impl Motors {
             speed: 1.0,
             exerted: vec![0.0; joints],
             handed: vec![0.0; joints],
+            latched: vec![None; joints],
             rest_s: 0.0,
         }
     }
@@ -134,12 +137,12 @@ impl Motors {
             let (stiffness, rest) = match role {
                 Role::Lead { .. } | Role::Follower { pulled_by: Some(_), .. } => {
                     let goal = row.terms.iter().fold(row.offset, |s, &(i, c)| s + c * self.references[i]);
-                    self.pull(j, servo, self.force, goal, q[j], speeds[j])
+                    self.pull(j, servo, settings, goal, q[j], speeds[j])
                 }
                 Role::Follower { .. } => continue,
                 Role::Servo => {
                     let goal = row.terms.iter().fold(row.offset, |s, &(i, c)| s + c * u[i]);
-                    self.pull(j, servo, 1.0, goal, q[j], speeds[j])
+                    self.pull(j, servo, settings, goal, q[j], speeds[j])
                 }
                 Role::Adaptive(adaptive) => self.follow(j, adaptive, drives, settings, &q, dt),
             };
@@ -188,14 +191,35 @@ impl Motors {
     }
 
     /// A servo's spring for this step.
-    fn pull(&mut self, j: usize, servo: &Servo, force: f64, goal: f64, q: f64, speed: f64) -> (f64, f64) {
-        let most = force * servo.effort;
+    fn pull(
+        &mut self,
+        j: usize,
+        servo: &Servo,
+        settings: &HandSettings,
+        goal: f64,
+        q: f64,
+        speed: f64,
+    ) -> (f64, f64) {
+        let most = self.force * servo.effort;
         let wanted = servo.stiffness * (goal - q);
         self.exerted[j] = wanted.clamp(-most, most) - self.damping(servo) * speed;
         if wanted.abs() <= most {
-            (servo.stiffness, goal)
+            self.latched[j] = None;
+            return (servo.stiffness, goal);
+        }
+        // At the limit: a constant force, until something stronger pushes back against the gears.
+        let sign = wanted.signum();
+        let farthest = match self.latched[j] {
+            Some((at, direction)) if direction == sign && (at - q) * sign > 0.0 => at,
+            _ => q,
+        };
+        self.latched[j] = Some((farthest, sign));
+        let held = most + servo.stiffness * (farthest - q).abs();
+        let holds = (settings.back_drive * servo.effort).max(most);
+        if held > most && held < holds {
+            (servo.stiffness, farthest + sign * most / servo.stiffness)
         } else {
-            (CONSTANT, q + most.copysign(wanted) / CONSTANT)
+            (CONSTANT, q + sign * held.min(holds) / CONSTANT)
         }
     }
 
