@@ -1,5 +1,6 @@
 //! `graspd eval`: how good grasps are, measured in simulation.
 
+mod ap;
 mod clear;
 mod look;
 mod objects;
@@ -21,6 +22,7 @@ pub(crate) struct EvalArgs {
 #[derive(Debug, Clone, Subcommand)]
 enum What {
     Clear(clear::ClearArgs),
+    Ap(ap::ApArgs),
     Look(look::LookArgs),
 }
 
@@ -31,8 +33,15 @@ enum What {
 pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     match &args.what {
         What::Clear(args) => clear::run(args),
+        What::Ap(args) => ap::run(args),
         What::Look(args) => look::run(args),
     }
+}
+
+/// Work that is done at the same time: as asked, or one piece for every core.
+fn jobs(asked: Option<u32>) -> usize {
+    let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    asked.map_or_else(cores, |jobs| jobs as usize)
 }
 
 /// Hands by id or folder.

@@ -66,12 +66,11 @@ impl Class {
         }
     }
 
-    /// The class of an executed grasp. An object in the container counts (Supplementary Note 7), also where it is
+    /// The class of an executed grasp. Any object in the container counts (Supplementary Note 7), also where it is
     /// not the one that was meant.
     pub(crate) fn of(trial: &Trial) -> Self {
         match trial.failure {
             None => Self::Success,
-            Some(_) if !trial.held.is_empty() => Self::Success,
             Some(Failure::CollisionTable) => Self::CollisionTable,
             Some(Failure::CollisionObject) => Self::CollisionObject,
             Some(Failure::LostClosing) => Self::LostClosing,
@@ -162,8 +161,8 @@ pub struct Attempt {
     pub number: usize,
     /// What became of it.
     pub class: Class,
-    /// What the execution itself said failed, where something else was held in the end.
-    pub meant_failed: bool,
+    /// True where something was held, but not what was meant.
+    pub other_held: bool,
     /// Name of the object that was meant, where there was one.
     pub meant: Option<String>,
     /// Names of the objects that were held.

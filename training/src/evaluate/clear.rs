@@ -286,7 +286,7 @@ fn clear_tray(
             run,
             number,
             class: Class::NoGrasp,
-            meant_failed: false,
+            other_held: false,
             meant: None,
             held: Vec::new(),
             objects: contents.present.len(),
@@ -302,7 +302,7 @@ fn clear_tray(
             let mut held: Vec<usize> = trial.held.iter().filter_map(|&id| place(id)).collect();
             let name = |at: &usize| contents.items[contents.present[*at]].name.clone();
             attempt.class = Class::of(&trial);
-            attempt.meant_failed = trial.failure.is_some();
+            attempt.other_held = !held.is_empty() && meant.is_none_or(|m| !held.contains(&m));
             attempt.meant = meant.as_ref().map(name);
             attempt.held = held.iter().map(name).collect();
             attempt.slip_m = trial.slip_m;

@@ -13,7 +13,7 @@ mod replay;
 mod report;
 
 // Average precision of the parallel jaw.
-// AP
+pub mod ap;
 
 // Numbers and how they are shown.
 pub mod statistics;

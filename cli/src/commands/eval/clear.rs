@@ -91,10 +91,7 @@ pub(crate) fn run(args: &ClearArgs) -> anyhow::Result<()> {
     let hands = super::hands(&args.hands)?;
     let estimator = local::estimator(args.estimator.as_deref())?;
     let (objects, about_objects) = args.objects.objects(args.items as usize, args.seed)?;
-    let jobs = args.jobs.map_or_else(
-        || std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
-        |jobs| jobs as usize,
-    );
+    let jobs = super::jobs(args.jobs);
     let settings = ClearSettings {
         hands,
         objects,
