@@ -31,10 +31,7 @@ fn main() -> std::io::Result<()> {
 
 fn world() -> World {
     let mut world = World::new(WorldSettings { tray: Some(Tray::default()), ..Default::default() });
-    let solid = |shape: Shape| {
-        let (vertices, triangles) = solids::triangulate(&shape);
-        Mesh { vertices: vertices.into_owned(), triangles: triangles.into_owned() }
-    };
+    let solid = |shape: Shape| solids::triangulate(&shape).into_mesh();
     let mut add = |mesh: Mesh, surface: Surface, at: [f64; 3], turn: [f64; 3]| {
         let parts = vec![mesh.vertices.clone()];
         let object =
@@ -52,7 +49,7 @@ fn world() -> World {
         solid(Shape::Cylinder { radius: 0.02, half_length: 0.06 }),
         dark,
         [0.11, 0.0, 0.02],
-        [1.5708, 0.0, 0.0],
+        [std::f64::consts::FRAC_PI_2, 0.0, 0.0],
     );
     add(Mesh::cuboid(Vector3::repeat(0.02)), matt, [-0.12, -0.12, 0.02], [0.0, 0.0, 0.2]);
     world

@@ -5,7 +5,8 @@ use std::borrow::Cow;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::raster::Piece;
-use super::{BACKGROUND, FIRST_HAND, solids};
+use super::solids::{self, Triangles};
+use super::{BACKGROUND, FIRST_HAND};
 use crate::mesh::Mesh;
 use crate::object::Surface;
 use crate::world::World;
@@ -72,7 +73,7 @@ impl<'a> Sight<'a> {
             let number = u16::try_from(index).map_or(u16::MAX, |i| FIRST_HAND.saturating_add(i));
             for visual in &hand.visuals {
                 let Some(world_from_link) = links.get(visual.link) else { continue };
-                let (vertices, triangles) = solids::triangulate(&visual.shape);
+                let Triangles { vertices, triangles } = solids::triangulate(&visual.shape);
                 sight.parts.push(Part {
                     kind: Kind::Hand,
                     id: number,

@@ -81,6 +81,9 @@ pub fn depth_picture(image: &DepthImage, range_m: [f64; 2]) -> RgbImage {
 struct Scene<'a> {
     sight: &'a Sight<'a>,
     lens: Pinhole,
+    /// Slopes of the rays of each column and row.
+    columns: Vec<f32>,
+    rows: Vec<f32>,
     world_from_camera: Isometry3<f64>,
     raster: Raster,
     sun: Vector3<f32>,
@@ -111,6 +114,8 @@ impl<'a> Scene<'a> {
         Self {
             sight,
             lens,
+            columns: (0..lens.width).map(|u| lens.ray(u as f64, 0.0).x as f32).collect(),
+            rows: (0..lens.height).map(|v| lens.ray(0.0, v as f64).y as f32).collect(),
             world_from_camera: *world_from_camera,
             raster,
             sun: (world_from_camera.rotation.inverse() * towards).cast(),
@@ -122,7 +127,7 @@ impl<'a> Scene<'a> {
 
     fn ray(&self, i: usize) -> Vector3<f32> {
         let (u, v) = (i % self.lens.width, i / self.lens.width);
-        self.lens.ray(u as f64, v as f64).cast()
+        Vector3::new(self.columns[u], self.rows[v], 1.0)
     }
 
     fn kind(&self, i: usize) -> Option<Kind> {
@@ -173,11 +178,16 @@ impl<'a> Scene<'a> {
     /// The mean of the normals around a sample that nearly agree with its own: round things look round.
     fn smooth_normal(&self, i: usize, own: &Vector3<f32>) -> Vector3<f32> {
         let (u, v) = (i % self.lens.width, i / self.lens.width);
-        let piece = self.raster.facets[self.raster.facet[i] as usize].piece;
-        let mut sum = Vector3::zeros();
-        for dv in -3..=3isize {
-            for du in -3..=3isize {
-                let Some(j) = self.neighbour(u, v, 2 * du, 2 * dv) else { continue };
+        let facet = self.raster.facet[i];
+        let flat = |du, dv| self.neighbour(u, v, du, dv).is_none_or(|j| self.raster.facet[j] == facet);
+        if flat(-5, -5) && flat(-5, 5) && flat(5, -5) && flat(5, 5) {
+            return *own;
+        }
+        let Some(piece) = self.raster.facets.get(facet as usize).map(|f| f.piece) else { return *own };
+        let mut sum = *own;
+        for dv in -2..=2isize {
+            for du in -2..=2isize {
+                let Some(j) = self.neighbour(u, v, 3 * du, 3 * dv) else { continue };
                 let Some(other) = self.raster.facets.get(self.raster.facet[j] as usize) else { continue };
                 if other.piece == piece && other.normal.dot(own) > 0.85 {
                     sum += other.normal;
@@ -192,7 +202,7 @@ impl<'a> Scene<'a> {
         // Off the surface, or it would shade itself.
         let p = self.sun_from_camera * Point3::from(point + normal * 0.0025);
         let Some(([u, v], z)) = self.sun_lens.project(&p.cast()) else { return 1.0 };
-        let (column, row) = (u.round() as isize, v.round() as isize);
+        let [column, row] = [u, v].map(|x| x.round().clamp(-100.0, 2.0 * SHADOW_PX as f64) as isize);
         let (mut seen, mut reached) = (0u16, 0u16);
         for dv in -3..=3isize {
             for du in -3..=3isize {
@@ -212,14 +222,17 @@ impl<'a> Scene<'a> {
         let (u, v) = (i % self.lens.width, i / self.lens.width);
         let reach = OCCLUSION_M * self.raster.inverse[i] * self.lens.fx_px as f32;
         let (mut hidden, mut count) = (0.0, 0.0);
-        for ring in 1..=4u8 {
-            for spoke in 0..8u8 {
-                // Turned from ring to ring, and from sample to sample in a 4 x 4 pattern, so that no rays show.
-                let twist = f32::from(ring) * 0.4 + ((u % 4) * 4 + v % 4) as f32 * 0.049;
-                let (sin, cos) = (f32::from(spoke) * std::f32::consts::FRAC_PI_4 + twist).sin_cos();
-                let radius = reach * f32::from(ring) / 4.0;
+        // Turned from ring to ring, and from sample to sample in a 4 x 4 pattern, so that no rays show.
+        let turn = ((u % 4) * 4 + v % 4) as f32 * 0.065;
+        for ring in 1..=3u8 {
+            let (sin, cos) = (turn + f32::from(ring) * 0.4).sin_cos();
+            let radius = reach * f32::from(ring) / 3.0;
+            let mut arm = [radius * cos, radius * sin];
+            for _ in 0..6 {
+                // Six spokes, each a sixth of a turn on.
+                arm = [0.5 * arm[0] - 0.866 * arm[1], 0.866 * arm[0] + 0.5 * arm[1]];
                 count += 1.0;
-                let Some(j) = self.neighbour(u, v, (radius * cos) as isize, (radius * sin) as isize) else {
+                let Some(j) = self.neighbour(u, v, arm[0] as isize, arm[1] as isize) else {
                     continue;
                 };
                 if j == i || self.raster.inverse[j] == 0.0 {
