@@ -24,6 +24,8 @@ const SLIPPED_M: f64 = 0.01;
 const FORCE_S: f64 = 0.01;
 /// By this time fingers have reached their commanded squeeze, or are held, seconds.
 const REACHED_S: f64 = 0.8;
+/// Stillness after the shake, seconds.
+const CALM_S: f64 = 0.3;
 /// Time between looks at which fingers touch, seconds.
 const LOOK_S: f64 = 0.02;
 
@@ -231,7 +233,7 @@ impl Run<'_> {
             }
         }
         self.world.guide(self.hand, &center);
-        for _ in 0..self.steps(0.1) {
+        for _ in 0..self.steps(CALM_S) {
             self.world.step();
         }
     }

@@ -177,28 +177,13 @@ impl HandBody {
 
     /// Joint positions.
     pub(super) fn positions(&self, physics: &PhysicsWorld, tree: &Tree) -> Vec<f64> {
-        self.each(physics, tree, |multibody, link, joint| {
-            multibody.link(link).map_or(0.0, |l| l.joint.coords()[axis(joint)])
-        })
-    }
-
-    /// Joint velocities.
-    pub(super) fn velocities(&self, physics: &PhysicsWorld, tree: &Tree) -> Vec<f64> {
-        self.each(physics, tree, |multibody, link, _| {
-            multibody.link(link).map_or(0.0, |l| multibody.joint_velocity(l)[0])
-        })
-    }
-
-    fn each(
-        &self,
-        physics: &PhysicsWorld,
-        tree: &Tree,
-        value: impl Fn(&Multibody, usize, &Joint) -> f64,
-    ) -> Vec<f64> {
         self.joints
             .iter()
             .zip(&tree.joints)
-            .map(|(&h, joint)| physics.multibody_joints.get(h).map_or(0.0, |(m, link)| value(m, link, joint)))
+            .map(|(&h, joint)| {
+                let link = physics.multibody_joints.get(h).and_then(|(multibody, link)| multibody.link(link));
+                link.map_or(0.0, |l| l.joint.coords()[axis(joint)])
+            })
             .collect()
     }
 

@@ -203,11 +203,12 @@ fn servo(hand: &Hand, settings: &HandSettings, j: usize, joint: &Joint) -> Servo
         .filter_map(|&(i, c)| Some(known(&coordinates[i])? / c.abs().max(0.1)))
         .reduce(f64::max);
     let own = (joint.effort > 0.0).then_some(joint.effort);
-    let guess = match joint.kind {
-        JointKind::Revolute => settings.fingertip_force_n * lever(hand, j),
-        JointKind::Prismatic => settings.fingertip_force_n,
+    let lever = lever(hand, j);
+    let (guess, most) = match joint.kind {
+        JointKind::Revolute => (settings.fingertip_force_n * lever, settings.most_fingertip_force_n * lever),
+        JointKind::Prismatic => (settings.fingertip_force_n, f64::INFINITY),
     };
-    let effort = stated.or(own).unwrap_or(guess);
+    let effort = stated.or(own).unwrap_or(guess).min(most);
     let (most, error) = match joint.kind {
         JointKind::Revolute => (settings.turn_rad_s, settings.full_effort_rad),
         JointKind::Prismatic => (settings.slide_m_s, settings.full_effort_m),
