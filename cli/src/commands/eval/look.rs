@@ -28,6 +28,9 @@ pub(crate) struct LookArgs {
     /// Draw it
     #[arg(long, value_name = "PNG")]
     out: Option<PathBuf>,
+    /// The hand's folder, where it is not one of the library
+    #[arg(long, value_name = "DIR")]
+    hand: Option<String>,
     /// Plan again from the same depth image, as the planner plans today, instead of executing the old grasp
     #[arg(long)]
     plan: bool,
@@ -44,7 +47,7 @@ pub(crate) fn run(args: &LookArgs) -> anyhow::Result<()> {
     let at = || format!("{}", args.file.display());
     let text = std::fs::read_to_string(&args.file).with_context(at)?;
     let trial = FailedTrial::from_json(&text).with_context(at)?;
-    let hand = Arc::new(hand_source::resolve(&trial.attempt.hand)?);
+    let hand = Arc::new(hand_source::resolve(args.hand.as_deref().unwrap_or(&trial.attempt.hand))?);
     let estimator = local::estimator(args.estimator.as_deref())?;
 
     let mut panels: Vec<RgbImage> = Vec::new();

@@ -298,7 +298,7 @@ impl Exact {
             .into_iter()
             .filter_map(|id| {
                 let (object, pose) = (Arc::clone(world.object(id)?), world.pose(id)?);
-                let points = sample(&object.mesh).iter().map(|p| pose * p).collect();
+                let points: Vec<Point3<f64>> = sample(&object.mesh).iter().map(|p| pose * p).collect();
                 Some((object, pose, points))
             })
             .collect();
