@@ -13,8 +13,11 @@ use rapier3d_f64::prelude::{
 };
 
 use super::drive::{Drives, Role};
-use crate::convert;
 use crate::world::HandSettings;
+use crate::{convert, hull};
+
+/// A convex solid and its pose in the frame of its body.
+type Solid = (Isometry3<f64>, SharedShape);
 
 /// The parts of a hand in the physics engine.
 #[derive(Debug)]
@@ -48,7 +51,7 @@ impl HandBody {
         let tree = &hand.tree;
         let poses = tree.body_poses(q);
         let mut out = Self { bodies: Vec::new(), colliders: Vec::new(), joints: Vec::new() };
-        let shapes: Vec<(usize, usize, Vec<(Isometry3<f64>, SharedShape)>)> =
+        let shapes: Vec<(usize, usize, Vec<Solid>)> =
             hand.collision.iter().map(|c| (tree.links[c.link].body, c.link, solids(tree, c))).collect();
         for (index, pose) in poses.iter().enumerate() {
             let own = shapes.iter().filter(|s| s.0 == index).flat_map(|s| &s.2);
@@ -225,7 +228,7 @@ fn generic(joint: &Joint, parent_from_joint: &Isometry3<f64>, limited: bool) -> 
 }
 
 /// A collision shape as convex solids in the frame of its body.
-fn solids(tree: &Tree, collision: &CollisionShape) -> Vec<(Isometry3<f64>, SharedShape)> {
+fn solids(tree: &Tree, collision: &CollisionShape) -> Vec<Solid> {
     let at = tree.links[collision.link].body_from_link * collision.link_from_shape;
     match &collision.shape {
         Shape::Box { half_extents: h } => vec![(at, SharedShape::cuboid(h.x, h.y, h.z))],
@@ -242,9 +245,9 @@ fn solids(tree: &Tree, collision: &CollisionShape) -> Vec<(Isometry3<f64>, Share
 }
 
 /// A mesh as its convex hull where that adds little, else decomposed.
-fn mesh(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Vec<SharedShape> {
+pub(super) fn mesh(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Vec<SharedShape> {
     let points: Vec<_> = vertices.iter().map(convert::point).collect();
-    let Some(hull) = SharedShape::convex_hull(&points) else { return Vec::new() };
+    let Some(hull) = hull::shape(vertices) else { return Vec::new() };
     let volume: f64 = triangles
         .iter()
         .map(|t| {
@@ -266,7 +269,7 @@ fn mesh(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Vec<SharedShape> {
 
 /// Mass, centre and inertia of a body from its volume; the root weighs what the arm shows at the wrist.
 fn mass_of<'a>(
-    solids: impl Iterator<Item = &'a (Isometry3<f64>, SharedShape)>,
+    solids: impl Iterator<Item = &'a Solid>,
     root: bool,
     settings: &HandSettings,
 ) -> MassProperties {

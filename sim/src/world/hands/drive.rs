@@ -143,7 +143,7 @@ fn carriers(hand: &Hand, joint: usize) -> Vec<usize> {
 /// Of the joints of a coordinate in this joint's chain, the one nearest to the palm.
 fn first_of_chain(hand: &Hand, coordinate: usize, joint: usize) -> usize {
     let depends = |j: &usize| hand.actuation.rows[*j].terms.iter().any(|&(i, _)| i == coordinate);
-    carriers(hand, joint).into_iter().filter(depends).next_back().unwrap_or(joint)
+    carriers(hand, joint).into_iter().rfind(depends).unwrap_or(joint)
 }
 
 fn adaptive(hand: &Hand, leads: &[Option<usize>], joint: usize, coordinate: usize) -> Adaptive {
