@@ -244,7 +244,7 @@ impl Numbers<6, 7> {
     }
 }
 
-fn parse_volume(text: &str) -> Result<VolumeKind, String> {
+pub(super) fn parse_volume(text: &str) -> Result<VolumeKind, String> {
     match text {
         "tsdf" => Ok(VolumeKind::Tsdf),
         "occupancy" => Ok(VolumeKind::Occupancy),
@@ -266,7 +266,7 @@ fn parse_size(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "expected a number from 0.1 to 2".into())
 }
 
-fn parse_scheme(text: &str) -> Result<Scheme, String> {
+pub(super) fn parse_scheme(text: &str) -> Result<Scheme, String> {
     let expected =
         "expected two whole numbers: all iterations (1 to 10000), the last of them with penetration";
     let parts: Option<Vec<usize>> = text.split(',').map(|s| s.trim().parse().ok()).collect();

@@ -1,0 +1,55 @@
+//! Grasp quality, measured: planner and simulated world play against each other, and every trial is counted.
+
+// What an evaluation is set up with.
+mod clock;
+mod items;
+mod seeds;
+mod station;
+
+// Trays cleared by every hand.
+mod attempt;
+mod clear;
+mod replay;
+mod report;
+
+// Average precision of the parallel jaw.
+pub mod ap;
+
+// Numbers and how they are shown.
+pub mod statistics;
+mod table;
+
+pub use attempt::{Attempt, Class, Figures, Nothing};
+pub use clear::{ClearSettings, Item, Observer, Run, Setup, Silent, clear};
+pub use items::{draw, fits};
+pub use replay::{FailedTrial, Replay, plan_again, replay};
+pub use report::{Cell, Report};
+pub use station::Station;
+
+/// Why an evaluation cannot go on.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvaluationError {
+    /// A setting is of no use.
+    #[error("{field}: found {found}, expected {expected}")]
+    Setting {
+        /// The setting.
+        field: &'static str,
+        /// Found value.
+        found: String,
+        /// What is expected.
+        expected: String,
+    },
+    /// The planner cannot read the scene.
+    #[error("the planner cannot read the scene: {0}")]
+    Scene(#[from] graspd_planner::scene::SceneError),
+    /// A world's file cannot be read.
+    #[error("the world cannot be read: {0}")]
+    World(#[from] graspd_sim::scene::SceneError),
+    /// A trial's file cannot be read.
+    #[error("the trial cannot be read: {0}")]
+    Trial(#[from] serde_json::Error),
+    /// The system gives no threads.
+    #[error("no threads: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
+}

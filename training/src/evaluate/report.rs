@@ -1,0 +1,333 @@
+//! What a clearing run found, as numbers and as tables: Supplementary Table 4's layout, and why grasps failed.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::attempt::{Attempt, Class};
+use super::clear::{Run, Setup};
+use super::statistics::{Share, quantile, wilson};
+use super::table::Table;
+
+/// Supplementary Table 4, SpaHybGen on hardware: hand, then trials of single objects and of clutter, with their
+/// success rates in per cent.
+const PUBLISHED: [(&str, [(usize, f64); 2]); 7] = [
+    ("finray-2f", [(25, 100.0), (27, 92.6)]),
+    ("robotiq-2f85", [(26, 96.2), (27, 92.6)]),
+    ("robotiq-3f", [(25, 100.0), (26, 96.2)]),
+    ("model-o", [(26, 96.2), (25, 100.0)]),
+    ("finray-4f", [(25, 100.0), (26, 96.2)]),
+    ("brunel", [(26, 96.2), (26, 96.2)]),
+    ("leap", [(25, 100.0), (26, 96.2)]),
+];
+
+/// One cell of the table: one hand, one setup; or one hand over both.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cell {
+    /// Id of the hand.
+    pub hand: String,
+    /// The setup; none for both together.
+    pub setup: Option<Setup>,
+    /// Attempts: executed grasps, and plans that found none though objects were there.
+    pub trials: usize,
+    /// Attempts after which an object was in the container.
+    pub successes: usize,
+    /// Successes over trials, with its 95 % Wilson interval.
+    pub rate: Share,
+    /// Objects that were to be cleared.
+    pub items: usize,
+    /// Objects that were.
+    pub cleared: usize,
+    /// Objects that were held after successful grasps; more than the successes where several were held at once.
+    pub held: usize,
+    /// FGM: successful grasps over grasped objects (Supplementary Note 7); 1 without any.
+    pub fgm: f64,
+    /// Trials over items.
+    pub attempts_per_object: f64,
+    /// Attempts by class.
+    pub classes: BTreeMap<Class, usize>,
+    /// Why no grasp was found, by the planner's reason.
+    pub nothing: BTreeMap<String, usize>,
+    /// Candidates that were rejected in plans without a grasp, by reason.
+    pub rejected: BTreeMap<String, usize>,
+    /// From the frame to the grasps, on one thread, median, milliseconds.
+    pub planning_median_ms: f64,
+    /// 95 of 100 plans took at most so long, milliseconds.
+    pub planning_p95_ms: f64,
+    /// Objects that had left the tray and were put back.
+    pub put_back: usize,
+}
+
+impl Cell {
+    fn of(hand: &str, setup: Option<Setup>, runs: &[&Run]) -> Self {
+        let attempts: Vec<&Attempt> = runs.iter().flat_map(|r| &r.attempts).collect();
+        let items = runs.iter().map(|r| r.items.len()).sum();
+        let successes = attempts.iter().filter(|a| a.class == Class::Success).count();
+        let held: usize =
+            attempts.iter().filter(|a| a.class == Class::Success).map(|a| a.held.len()).sum();
+        let mut classes = BTreeMap::new();
+        let (mut nothing, mut rejected) = (BTreeMap::new(), BTreeMap::new());
+        for attempt in &attempts {
+            *classes.entry(attempt.class).or_insert(0) += 1;
+            if let Some(why) = &attempt.figures.nothing {
+                *nothing.entry(why.reason.clone()).or_insert(0) += 1;
+                for (reason, n) in &attempt.figures.rejected {
+                    *rejected.entry(reason.clone()).or_insert(0) += n;
+                }
+            }
+        }
+        let times: Vec<f64> = runs.iter().flat_map(|r| r.planning_ms.iter().copied()).collect();
+        Self {
+            hand: hand.to_owned(),
+            setup,
+            trials: attempts.len(),
+            successes,
+            rate: wilson(successes, attempts.len()),
+            items,
+            cleared: runs.iter().flat_map(|r| &r.items).filter(|i| i.cleared).count(),
+            held,
+            fgm: if held > 0 { successes as f64 / held as f64 } else { 1.0 },
+            attempts_per_object: attempts.len() as f64 / items.max(1) as f64,
+            classes,
+            nothing,
+            rejected,
+            planning_median_ms: quantile(&times, 0.5).unwrap_or(0.0),
+            planning_p95_ms: quantile(&times, 0.95).unwrap_or(0.0),
+            put_back: runs.iter().map(|r| r.put_back).sum(),
+        }
+    }
+
+    fn count(&self, class: Class) -> usize {
+        self.classes.get(&class).copied().unwrap_or(0)
+    }
+}
+
+/// How grasps of one kind of object went, over all hands.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FamilyRow {
+    /// The objects' name.
+    pub name: String,
+    /// Executed grasps that meant one.
+    pub trials: usize,
+    /// Those that held something.
+    pub successes: usize,
+    /// Items of that name, counted once for every hand and setup.
+    pub items: usize,
+    /// Those that were cleared.
+    pub cleared: usize,
+}
+
+/// Everything that a clearing run found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Report {
+    /// What was measured, one condition a line.
+    pub conditions: Vec<String>,
+    /// One cell for every hand and setup, then one for every hand over all setups.
+    pub cells: Vec<Cell>,
+    /// By kind of object.
+    pub families: Vec<FamilyRow>,
+    /// All runs.
+    pub runs: Vec<Run>,
+}
+
+impl Report {
+    /// Counts.
+    pub fn new(conditions: Vec<String>, runs: Vec<Run>) -> Self {
+        let mut hands: Vec<&str> = Vec::new();
+        let mut setups: Vec<Setup> = Vec::new();
+        for run in &runs {
+            if !hands.contains(&run.hand.as_str()) {
+                hands.push(&run.hand);
+            }
+            if !setups.contains(&run.setup) {
+                setups.push(run.setup);
+            }
+        }
+        let cell = |hand: &str, setup: Option<Setup>| {
+            let of_cell = |r: &&Run| r.hand == hand && setup.is_none_or(|s| r.setup == s);
+            Cell::of(hand, setup, &runs.iter().filter(of_cell).collect::<Vec<_>>())
+        };
+        let mut rows: Vec<Option<Setup>> = setups.iter().copied().map(Some).collect();
+        if rows.len() > 1 {
+            rows.push(None);
+        }
+        let cells = rows.iter().flat_map(|&setup| hands.iter().map(move |&hand| (hand, setup)));
+        let cells = cells.map(|(hand, setup)| cell(hand, setup)).collect();
+        let families = families(&runs);
+        Self { conditions, cells, families, runs }
+    }
+
+    /// For people at a terminal.
+    pub fn text(&self) -> String {
+        self.render(Table::text, "")
+    }
+
+    /// For the documentation.
+    pub fn markdown(&self) -> String {
+        self.render(Table::markdown, "- ")
+    }
+
+    fn render(&self, table: fn(&Table) -> String, bullet: &str) -> String {
+        let mut out: String = self.conditions.iter().map(|c| format!("{bullet}{c}\n")).collect();
+        for (title, content) in [
+            ("Trials and success rate, 95 % interval, objects cleared", self.success_table()),
+            ("What became of the trials, all setups", self.class_table()),
+            ("Effort", self.effort_table()),
+            ("By kind of object, all hands and setups", self.family_table()),
+            ("Why no grasp was found", self.nothing_table()),
+        ] {
+            let mark = if bullet.is_empty() { "" } else { "### " };
+            if let Some(content) = content {
+                out += &format!("\n{mark}{title}\n\n{}", table(&content));
+            }
+        }
+        out
+    }
+
+    fn rows(&self) -> Vec<Option<Setup>> {
+        let mut rows = Vec::new();
+        for cell in &self.cells {
+            if !rows.contains(&cell.setup) {
+                rows.push(cell.setup);
+            }
+        }
+        rows
+    }
+
+    fn in_row(&self, setup: Option<Setup>) -> Vec<&Cell> {
+        self.cells.iter().filter(|c| c.setup == setup).collect()
+    }
+
+    /// One cell a hand, over everything that was measured.
+    fn overall(&self) -> Vec<&Cell> {
+        self.rows().last().map_or_else(Vec::new, |&last| self.in_row(last))
+    }
+
+    fn success_table(&self) -> Option<Table> {
+        let hands: Vec<String> = self.overall().iter().map(|c| c.hand.clone()).collect();
+        let mut table = Table::new(std::iter::once(String::new()).chain(hands));
+        for setup in self.rows() {
+            let cells = self.in_row(setup);
+            let title = setup.map_or("Overall", Setup::title);
+            let mut row = |title: &str, cell: &dyn Fn(&Cell) -> String| {
+                table.row(std::iter::once(title.to_owned()).chain(cells.iter().map(|c| cell(c))));
+            };
+            row(title, &|c| format!("{}/{:.1}%", c.trials, 100.0 * c.rate.rate));
+            row("  95 %", &|c| format!("{:.1}–{:.1}%", 100.0 * c.rate.low, 100.0 * c.rate.high));
+            row("  cleared", &|c| format!("{} of {}", c.cleared, c.items));
+            row("  hardware, published", &|c| published(&c.hand, setup));
+        }
+        Some(table)
+    }
+
+    fn class_table(&self) -> Option<Table> {
+        let cells = self.overall();
+        let hands = cells.iter().map(|c| c.hand.clone()).chain(["all".to_owned()]);
+        let mut table = Table::new(std::iter::once(String::new()).chain(hands));
+        for class in std::iter::once(Class::Success).chain(Class::FAILURES) {
+            let counts: Vec<usize> = cells.iter().map(|c| c.count(class)).collect();
+            let all: usize = counts.iter().sum();
+            let counts = counts.iter().chain([&all]).map(ToString::to_string);
+            table.row(std::iter::once(class.title().to_owned()).chain(counts));
+        }
+        Some(table)
+    }
+
+    fn effort_table(&self) -> Option<Table> {
+        let mut table = Table::new([
+            "hand",
+            "attempts per object",
+            "FGM",
+            "planning median ms",
+            "planning p95 ms",
+            "put back",
+        ]);
+        for c in self.overall() {
+            table.row([
+                c.hand.clone(),
+                format!("{:.2}", c.attempts_per_object),
+                format!("{:.3}", c.fgm),
+                format!("{:.0}", c.planning_median_ms),
+                format!("{:.0}", c.planning_p95_ms),
+                c.put_back.to_string(),
+            ]);
+        }
+        Some(table)
+    }
+
+    fn family_table(&self) -> Option<Table> {
+        let mut table = Table::new(["kind", "trials", "successes", "rate", "cleared"]);
+        for f in &self.families {
+            table.row([
+                f.name.clone(),
+                f.trials.to_string(),
+                f.successes.to_string(),
+                format!("{:.1}%", 100.0 * wilson(f.successes, f.trials).rate),
+                format!("{} of {}", f.cleared, f.items),
+            ]);
+        }
+        Some(table)
+    }
+
+    fn nothing_table(&self) -> Option<Table> {
+        let cells = self.overall();
+        let mut table = Table::new(["hand", "reasons", "rejected candidates"]);
+        let list = |counts: &BTreeMap<String, usize>| {
+            let mut counts: Vec<_> = counts.iter().collect();
+            counts.sort_by_key(|&(_, n)| std::cmp::Reverse(*n));
+            counts.iter().map(|(reason, n)| format!("{reason} {n}")).collect::<Vec<_>>().join(", ")
+        };
+        let mut any = false;
+        for c in cells.iter().filter(|c| !c.nothing.is_empty()) {
+            any = true;
+            table.row([c.hand.clone(), list(&c.nothing), list(&c.rejected)]);
+        }
+        any.then_some(table)
+    }
+}
+
+/// What the paper measured on hardware.
+fn published(hand: &str, setup: Option<Setup>) -> String {
+    let Some((_, [single, clutter])) = PUBLISHED.iter().find(|(id, _)| *id == hand) else {
+        return "–".into();
+    };
+    let show = |(trials, rate): (usize, f64)| format!("{trials}/{rate:.1}%");
+    match setup {
+        Some(Setup::Single) => show(*single),
+        Some(Setup::Clutter) => show(*clutter),
+        None => {
+            let trials = single.0 + clutter.0;
+            // Of the 50 items, one was grasped with every success.
+            show((trials, 100.0 * 50.0 / trials as f64))
+        }
+    }
+}
+
+/// By kind of object, worst first.
+fn families(runs: &[Run]) -> Vec<FamilyRow> {
+    let mut rows: BTreeMap<&str, FamilyRow> = BTreeMap::new();
+    for item in runs.iter().flat_map(|r| &r.items) {
+        let row = rows.entry(&item.name).or_insert_with(|| FamilyRow {
+            name: item.name.clone(),
+            trials: 0,
+            successes: 0,
+            items: 0,
+            cleared: 0,
+        });
+        row.items += 1;
+        row.cleared += usize::from(item.cleared);
+    }
+    for attempt in runs.iter().flat_map(|r| &r.attempts) {
+        if let Some(row) = attempt.meant.as_deref().and_then(|name| rows.get_mut(name)) {
+            row.trials += 1;
+            row.successes += usize::from(attempt.class == Class::Success);
+        }
+    }
+    let mut rows: Vec<FamilyRow> = rows.into_values().collect();
+    let rate = |r: &FamilyRow| wilson(r.successes, r.trials).rate;
+    rows.sort_by(|a, b| rate(a).total_cmp(&rate(b)).then_with(|| a.name.cmp(&b.name)));
+    rows
+}
