@@ -4,7 +4,7 @@ mod hands;
 mod settings;
 
 pub use hands::{Command, HandContact, HandId, HandState, Touched};
-pub use settings::{Tray, WorldSettings};
+pub use settings::{HandSettings, Tray, WorldSettings};
 
 use std::sync::Arc;
 
@@ -27,6 +27,9 @@ impl ObjectId {
         self.0
     }
 }
+
+/// Marks the colliders of the tray; the table's have 0.
+const TRAY: u128 = 1;
 
 /// An object in the world.
 #[derive(Debug)]
@@ -78,7 +81,9 @@ impl World {
                 let wall = RigidBodyBuilder::fixed().translation(convert::vector(&center));
                 physics.insert(
                     wall,
-                    ColliderBuilder::cuboid(half.x, half.y, half.z).friction(settings.table_friction),
+                    ColliderBuilder::cuboid(half.x, half.y, half.z)
+                        .friction(settings.table_friction)
+                        .user_data(TRAY),
                 );
             }
         }
@@ -168,6 +173,9 @@ impl World {
 
     /// One step of [`WorldSettings::dt_s`].
     pub fn step(&mut self) {
+        for hand in &mut self.hands {
+            hand.drive(&mut self.physics, &self.settings.hands, self.settings.dt_s);
+        }
         self.physics.step();
         self.steps += 1;
     }
