@@ -225,7 +225,11 @@ impl Watch {
             self.next = exposed + 1;
             match self.faults.fate(exposed) {
                 Fate::Lost => {}
-                Fate::Stuck(since_s) => self.too_old_s = Some(now_s - since_s),
+                Fate::Stuck(since_s) if now_s - since_s > self.max_age_s => {
+                    self.too_old_s = Some(now_s - since_s);
+                }
+                // Young enough, but exposed before the call: nothing new has come.
+                Fate::Stuck(_) => {}
                 // Not worth a rendering: too old when it comes, or another comes before it.
                 Fate::Arrives(after_s) if after_s > self.max_age_s => {
                     self.too_old_s = Some(self.too_old_s.map_or(after_s, |age| age.min(after_s)));
