@@ -1,0 +1,7 @@
+//! Mock devices in a shared world: what they promise, and every fault as the caller sees it.
+
+mod arm;
+mod camera;
+mod fixtures;
+mod hand;
+mod world;
