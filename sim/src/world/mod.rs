@@ -107,7 +107,9 @@ impl World {
             .iter()
             .filter_map(|part| SharedShape::convex_hull(&part.iter().map(convert::point).collect::<Vec<_>>()))
             .collect();
-        let body = RigidBodyBuilder::dynamic().pose(convert::pose(world_from_object)).ccd_enabled(true);
+        // The engine has no rolling friction: without some damping, round things would roll for ever.
+        let body = RigidBodyBuilder::dynamic().angular_damping(1.0).ccd_enabled(true);
+        let body = body.pose(convert::pose(world_from_object));
         let body = self.physics.insert_body(body);
         let volume: f64 = shapes.iter().map(|s| s.mass_properties(1.0).mass()).sum();
         for shape in shapes {
@@ -188,21 +190,9 @@ impl World {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::Mesh;
-    use crate::object::Surface;
 
     fn cube() -> Arc<Object> {
-        let mesh = Mesh::cuboid(Vector3::new(0.03, 0.02, 0.025));
-        let parts = vec![mesh.vertices.clone()];
-        let surface = Surface::default();
-        Arc::new(Object {
-            name: "box".into(),
-            mesh: mesh.into(),
-            parts,
-            mass_kg: 0.2,
-            friction: 0.5,
-            surface,
-        })
+        Arc::new(Object::cuboid("box", Vector3::new(0.03, 0.02, 0.025)).unwrap())
     }
 
     #[test]

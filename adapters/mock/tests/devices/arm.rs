@@ -73,7 +73,8 @@ async fn dropping_a_motion_on_demand_brakes_it_with_nobody_waiting() {
     let shared = shared(0.0);
     let arm = arm(&shared, Faults::default()).await;
     let slow = Limits { speed_m_s: 0.001, ..LIMITS };
-    let motion = arm.move_linear(&down(0.3, 0.0, 0.25), slow, 1000 * SECOND);
+    let far = down(0.3, 0.0, 0.25);
+    let motion = arm.move_linear(&far, slow, 1000 * SECOND);
     assert!(tokio::time::timeout(Duration::from_millis(100), motion).await.is_err());
     let mut mode = ArmMode::Moving;
     for _ in 0..100 {
@@ -181,7 +182,8 @@ async fn an_emergency_stop_needs_a_person() {
     arm.clear_fault(SECOND).await.unwrap();
     arm.move_to(&goal, LIMITS, TEN).await.unwrap();
     // Pressed by hand in the middle of a motion.
-    let (motion, ()) = tokio::join!(arm.move_to(&down(0.0, 0.0, 0.25), LIMITS, TEN), async {
+    let back = down(0.0, 0.0, 0.25);
+    let (motion, ()) = tokio::join!(arm.move_to(&back, LIMITS, TEN), async {
         shared.wait(0.2).await.unwrap();
         arm.faults().update(|f| f.emergency_stop = true).unwrap();
     });
