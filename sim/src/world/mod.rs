@@ -8,7 +8,7 @@ pub use settings::{HandSettings, Tray, WorldSettings};
 
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::prelude::{
     CoefficientCombineRule, ColliderBuilder, FrictionModel, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle,
     SharedShape,
@@ -72,6 +72,8 @@ impl World {
         // Things here are centimetres, not metres: tolerances follow.
         p.length_unit = 0.1;
         p.num_solver_iterations = settings.solver_iterations;
+        p.contact_softness.natural_frequency = settings.contact_hz;
+        p.static_contact_softness.natural_frequency = 2.0 * settings.contact_hz;
         p.friction_model = FrictionModel::Coulomb;
         let half = settings.table_half_extent_m;
         let table = RigidBodyBuilder::fixed().translation(convert::vector(&Vector3::new(0.0, 0.0, -0.05)));
@@ -162,6 +164,15 @@ impl World {
         body.set_linvel(convert::vector(&Vector3::zeros()), true);
         body.set_angvel(convert::vector(&Vector3::zeros()), true);
         true
+    }
+
+    /// Distance from a point (world frame) to an object, metres; 0 inside; `None` when it is not in the world.
+    pub fn distance(&self, id: ObjectId, point: &Point3<f64>) -> Option<f64> {
+        let body = self.physics.bodies.get(self.placed(id)?.body)?;
+        let colliders = body.colliders().iter().filter_map(|&c| self.physics.colliders.get(c));
+        colliders
+            .map(|c| c.shape().distance_to_point(c.position(), convert::point(point), true))
+            .reduce(f64::min)
     }
 
     /// Mechanical energy of the objects, joules: kinetic, and potential above the table.

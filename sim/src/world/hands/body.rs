@@ -7,9 +7,9 @@ use graspd_hands::{CollisionShape, Hand, Joint, JointKind, Shape, Tree};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use parry3d_f64::mass_properties::MassProperties;
 use rapier3d_f64::prelude::{
-    CoefficientCombineRule, ColliderBuilder, ColliderHandle, GenericJoint, GenericJointBuilder, JointAxesMask,
-    JointAxis, Multibody, MultibodyDofCoupling, MultibodyJointHandle, PhysicsWorld, RigidBodyBuilder,
-    RigidBodyHandle, SharedShape,
+    CoefficientCombineRule, ColliderBuilder, ColliderHandle, GenericJoint, GenericJointBuilder,
+    JointAxesMask, JointAxis, Multibody, MultibodyDofCoupling, MultibodyJointHandle, PhysicsWorld,
+    RigidBodyBuilder, RigidBodyHandle, SharedShape,
 };
 
 use super::drive::{Drives, Role};
@@ -48,11 +48,8 @@ impl HandBody {
         let tree = &hand.tree;
         let poses = tree.body_poses(q);
         let mut out = Self { bodies: Vec::new(), colliders: Vec::new(), joints: Vec::new() };
-        let shapes: Vec<(usize, usize, Vec<(Isometry3<f64>, SharedShape)>)> = hand
-            .collision
-            .iter()
-            .map(|c| (tree.links[c.link].body, c.link, solids(tree, c)))
-            .collect();
+        let shapes: Vec<(usize, usize, Vec<(Isometry3<f64>, SharedShape)>)> =
+            hand.collision.iter().map(|c| (tree.links[c.link].body, c.link, solids(tree, c))).collect();
         for (index, pose) in poses.iter().enumerate() {
             let own = shapes.iter().filter(|s| s.0 == index).flat_map(|s| &s.2);
             let mass = mass_of(own, index == 0, settings);
@@ -154,11 +151,27 @@ impl HandBody {
     }
 
     /// What acts on a joint in the next step besides contacts: a spring of this stiffness about a rest position.
-    pub(super) fn spring(&self, physics: &mut PhysicsWorld, j: usize, axis: usize, stiffness: f64, rest: f64) {
+    pub(super) fn spring(
+        &self,
+        physics: &mut PhysicsWorld,
+        j: usize,
+        axis: usize,
+        stiffness: f64,
+        rest: f64,
+    ) {
         if let Some((multibody, link)) = physics.multibody_joints.get_mut(self.joints[j])
             && let Some(link) = multibody.link_mut(link)
         {
             link.joint.set_spring(axis, stiffness, rest);
+        }
+    }
+
+    /// Damping of a joint in the next step.
+    pub(super) fn damp(&self, physics: &mut PhysicsWorld, j: usize, damping: f64) {
+        if let Some((at, _)) = index_of(physics, &self.joints, j)
+            && let Some((multibody, _)) = physics.multibody_joints.get_mut(self.joints[j])
+        {
+            multibody.damping_mut()[at] = damping;
         }
     }
 
@@ -197,7 +210,10 @@ impl HandBody {
     }
 }
 
-fn multibody<'a>(physics: &'a mut PhysicsWorld, joints: &[MultibodyJointHandle]) -> Option<&'a mut Multibody> {
+fn multibody<'a>(
+    physics: &'a mut PhysicsWorld,
+    joints: &[MultibodyJointHandle],
+) -> Option<&'a mut Multibody> {
     joints.first().and_then(|&h| physics.multibody_joints.get_mut(h)).map(|(m, _)| m)
 }
 

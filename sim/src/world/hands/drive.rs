@@ -74,13 +74,11 @@ pub(super) struct Drives {
 impl Drives {
     pub(super) fn new(hand: &Hand, settings: &HandSettings) -> Self {
         let actuation = &hand.actuation;
-        let leads: Vec<Option<usize>> =
-            (0..actuation.coordinates.len()).map(|i| lead(hand, i)).collect();
+        let leads: Vec<Option<usize>> = (0..actuation.coordinates.len()).map(|i| lead(hand, i)).collect();
         let roles: Vec<Role> = (0..hand.tree.joints.len()).map(|j| role(hand, &leads, j)).collect();
         let servos =
             hand.tree.joints.iter().enumerate().map(|(j, joint)| servo(hand, settings, j, joint)).collect();
-        let (open, closed) =
-            (actuation.joints(&actuation.open()), actuation.joints(&actuation.closed()));
+        let (open, closed) = (actuation.joints(&actuation.open()), actuation.joints(&actuation.closed()));
         let closing =
             open.iter().zip(&closed).map(|(open, closed)| if closed < open { -1.0 } else { 1.0 }).collect();
         Self { roles, servos, leads, closing }
@@ -175,9 +173,8 @@ fn adaptive(hand: &Hand, leads: &[Option<usize>], joint: usize, coordinate: usiz
             && actuation.coordinates[actuation.rows[j].terms[0].0].kind == CoordinateKind::Actuator
             && axis(j).dot(&axis(joint)).abs() > 0.7
     });
-    let share = driver.map_or(0.0, |d| {
-        axis(d).dot(&axis(joint)).signum() * lever(hand, joint) / lever(hand, d).max(1e-3)
-    });
+    let share = driver
+        .map_or(0.0, |d| axis(d).dot(&axis(joint)).signum() * lever(hand, joint) / lever(hand, d).max(1e-3));
     Adaptive { coordinate, driver, share, rest, constant }
 }
 
@@ -200,7 +197,11 @@ fn servo(hand: &Hand, settings: &HandSettings, j: usize, joint: &Joint) -> Servo
     let coordinates = &hand.actuation.coordinates;
     let known = |c: &Coordinate| if c.effort > 0.0 { Some(c.effort) } else { None };
     // The coordinate's effort where it is known, in terms of the joint.
-    let stated = row.terms.iter().filter_map(|&(i, c)| Some(known(&coordinates[i])? / c.abs().max(0.1))).reduce(f64::max);
+    let stated = row
+        .terms
+        .iter()
+        .filter_map(|&(i, c)| Some(known(&coordinates[i])? / c.abs().max(0.1)))
+        .reduce(f64::max);
     let own = (joint.effort > 0.0).then_some(joint.effort);
     let guess = match joint.kind {
         JointKind::Revolute => settings.fingertip_force_n * lever(hand, j),

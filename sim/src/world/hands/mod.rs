@@ -7,7 +7,7 @@ mod wrist;
 
 use std::sync::Arc;
 
-use graspd_hands::Hand;
+use graspd_hands::{CoordinateKind, Hand};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::prelude::{ColliderHandle, PhysicsWorld};
 
@@ -224,6 +224,19 @@ impl World {
             settled: placed.motors.settled(),
             joints,
         })
+    }
+
+    /// Full effort of each actuator, newtons or newton metres: as published, or what its fingertip force makes of it.
+    pub fn full_efforts(&self, id: HandId) -> Option<Vec<f64>> {
+        let placed = self.placed_hand(id)?;
+        let coordinates = placed.hand.actuation.coordinates.iter().zip(&placed.drives.leads);
+        let of = |lead: &Option<usize>| {
+            lead.map_or(0.0, |j| {
+                placed.drives.servos[j].effort * placed.hand.actuation.rows[j].terms[0].1.abs()
+            })
+        };
+        let driven = coordinates.filter(|(c, _)| c.kind == CoordinateKind::Actuator);
+        Some(driven.map(|(_, lead)| of(lead)).collect())
     }
 
     /// What a hand touches now.

@@ -34,6 +34,8 @@ pub(super) struct Motors {
     exerted: Vec<f64>,
     /// Torque handed on to each adaptive joint, smoothed.
     handed: Vec<f64>,
+    /// Where each joint has been driven to, and in which direction: gears do not let it be pushed back from there.
+    latched: Vec<Option<(f64, f64)>>,
     /// How long every actuator has been at rest, seconds.
     rest_s: f64,
 }
@@ -49,6 +51,7 @@ impl Motors {
             speed: 1.0,
             exerted: vec![0.0; joints],
             handed: vec![0.0; joints],
+            latched: vec![None; joints],
             rest_s: 0.0,
         }
     }
@@ -123,18 +126,23 @@ impl Motors {
         let q = body.positions(physics, &hand.tree);
         let speeds = body.velocities(physics, &hand.tree);
         let u = self.coordinates(hand, drives, &q);
+        for (j, role) in drives.roles.iter().enumerate() {
+            if matches!(role, Role::Lead { .. } | Role::Follower { pulled_by: Some(_), .. }) {
+                body.damp(physics, j, self.damping(&drives.servos[j]));
+            }
+        }
         self.lead(hand, drives, &u, &speeds, settings, dt);
         for (j, role) in drives.roles.iter().enumerate() {
             let (servo, row) = (&drives.servos[j], &hand.actuation.rows[j]);
             let (stiffness, rest) = match role {
                 Role::Lead { .. } | Role::Follower { pulled_by: Some(_), .. } => {
                     let goal = row.terms.iter().fold(row.offset, |s, &(i, c)| s + c * self.references[i]);
-                    self.pull(j, servo, self.force, goal, q[j], speeds[j])
+                    self.pull(j, servo, settings, goal, q[j], speeds[j])
                 }
                 Role::Follower { .. } => continue,
                 Role::Servo => {
                     let goal = row.terms.iter().fold(row.offset, |s, &(i, c)| s + c * u[i]);
-                    self.pull(j, servo, 1.0, goal, q[j], speeds[j])
+                    self.pull(j, servo, settings, goal, q[j], speeds[j])
                 }
                 Role::Adaptive(adaptive) => self.follow(j, adaptive, drives, settings, &q, dt),
             };
@@ -177,15 +185,41 @@ impl Motors {
         self.rest_s = if rests { self.rest_s + dt } else { 0.0 };
     }
 
+    /// Damping of a motor: less where a small force has to move it at its speed.
+    fn damping(&self, servo: &Servo) -> f64 {
+        servo.damping.min(self.force * servo.effort / (2.0 * self.speed * servo.speed))
+    }
+
     /// A servo's spring for this step.
-    fn pull(&mut self, j: usize, servo: &Servo, force: f64, goal: f64, q: f64, speed: f64) -> (f64, f64) {
-        let most = force * servo.effort;
+    fn pull(
+        &mut self,
+        j: usize,
+        servo: &Servo,
+        settings: &HandSettings,
+        goal: f64,
+        q: f64,
+        speed: f64,
+    ) -> (f64, f64) {
+        let most = self.force * servo.effort;
         let wanted = servo.stiffness * (goal - q);
-        self.exerted[j] = wanted.clamp(-most, most) - servo.damping * speed;
+        self.exerted[j] = wanted.clamp(-most, most) - self.damping(servo) * speed;
         if wanted.abs() <= most {
-            (servo.stiffness, goal)
+            self.latched[j] = None;
+            return (servo.stiffness, goal);
+        }
+        // At the limit: a constant force, until something stronger pushes back against the gears.
+        let sign = wanted.signum();
+        let farthest = match self.latched[j] {
+            Some((at, direction)) if direction == sign && (at - q) * sign > 0.0 => at,
+            _ => q,
+        };
+        self.latched[j] = Some((farthest, sign));
+        let held = most + servo.stiffness * (farthest - q).abs();
+        let holds = (settings.back_drive * servo.effort).max(most);
+        if held > most && held < holds {
+            (servo.stiffness, farthest + sign * most / servo.stiffness)
         } else {
-            (CONSTANT, q + most.copysign(wanted) / CONSTANT)
+            (CONSTANT, q + sign * held.min(holds) / CONSTANT)
         }
     }
 

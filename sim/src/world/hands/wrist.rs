@@ -98,10 +98,7 @@ impl Wrist {
             let change = wanted - now;
             now + change * (most / change.norm().max(1e-12)).min(1.0)
         };
-        (
-            lead(&now.0, linear + error_linear, most),
-            lead(&now.1, angular + error_angular, most_angular),
-        )
+        (lead(&now.0, linear + error_linear, most), lead(&now.1, angular + error_angular, most_angular))
     }
 
     fn advance(&mut self, at: &Isometry3<f64>, dt: f64) {
