@@ -9,8 +9,7 @@ use graspd_adapters_mock::{
     SharedWorldSettings,
 };
 use graspd_sim::camera::{Pinhole, look_at};
-use graspd_sim::mesh::Mesh;
-use graspd_sim::object::{Object, Surface};
+use graspd_sim::object::Object;
 use graspd_sim::sensor::Sensor;
 use graspd_sim::world::{HandId, Tray, World, WorldSettings};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -22,10 +21,8 @@ pub const HALF: [f64; 3] = [0.02, 0.025, 0.025];
 pub const LIMITS: Limits = Limits { speed_m_s: 0.25, acceleration_m_s2: 1.0 };
 
 pub fn cuboid() -> Arc<Object> {
-    let mesh = Mesh::cuboid(Vector3::from(HALF));
-    let parts = vec![mesh.vertices.clone()];
-    let surface = Surface::default();
-    Arc::new(Object { name: "box".into(), mesh: mesh.into(), parts, mass_kg: 0.1, friction: 0.7, surface })
+    let object = Object::cuboid("box", Vector3::from(HALF)).unwrap();
+    Arc::new(Object { mass_kg: 0.1, friction: 0.7, ..object })
 }
 
 pub fn box_in_tray() -> World {
