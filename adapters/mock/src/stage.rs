@@ -42,8 +42,10 @@ impl Stage {
         self.processes.push(Box::new(process));
     }
 
-    fn step(&mut self) {
+    fn step(&mut self, clock: &Clock) {
         self.world.step();
+        // Before any process answers: who is answered reads the time of the answer.
+        clock.set(self.world.time_s());
         self.steps += 1;
         if self.steps.is_multiple_of(BIN_STEPS) {
             self.delivered.extend(bins::absorb(&mut self.world, &self.bins));
@@ -92,8 +94,7 @@ pub(crate) fn run(mut stage: Stage, jobs: &Receiver<Job>, clock: &Arc<Clock>, pa
         };
         let job = match next {
             Next::Step => {
-                stage.step();
-                clock.set(stage.world.time_s());
+                stage.step(clock);
                 None
             }
             Next::Sleep => match jobs.recv() {

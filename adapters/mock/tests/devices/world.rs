@@ -40,7 +40,7 @@ async fn what_is_let_go_above_a_bin_is_delivered() {
 async fn what_is_let_go_beside_the_tray_is_elsewhere() {
     let settings = SharedWorldSettings { bins: Vec::new(), ..SharedWorldSettings::default() };
     let shared = SharedWorld::new(box_in_tray(), settings).unwrap();
-    let census = carry(&shared, 0.35, 0.09).await;
+    let census = carry(&shared, 0.35, 0.12).await;
     assert_eq!((census.elsewhere.len(), census.total()), (1, 1), "{census:?}");
 }
 
