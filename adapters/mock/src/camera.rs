@@ -237,7 +237,8 @@ impl Watch {
                 Fate::Arrives(after_s) if self.coming.iter().any(|(at, _)| *at <= now_s + after_s) => {}
                 Fate::Arrives(after_s) => match (self.look)(world) {
                     Some(view) => {
-                        self.coming.push((now_s + after_s, Exposure { sequence: exposed, at_s: now_s, view }));
+                        self.coming
+                            .push((now_s + after_s, Exposure { sequence: exposed, at_s: now_s, view }));
                     }
                     None => {
                         return Some(Err(DeviceError::Disconnected {

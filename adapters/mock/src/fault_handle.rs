@@ -234,7 +234,8 @@ mod tests {
             handle(Faults { seed: 7, drop_share: 0.3, stale, jitter_s: 0.01, ..Faults::default() });
         let fates: Vec<_> = (0..4000).map(|n| faults.fate(n)).collect();
         let lost = fates.iter().filter(|f| **f == Fate::Lost).count() as f64 / 4000.0;
-        let late = fates.iter().filter(|f| matches!(f, Fate::Arrives(s) if *s >= 1.0)).count() as f64 / 4000.0;
+        let late =
+            fates.iter().filter(|f| matches!(f, Fate::Arrives(s) if *s >= 1.0)).count() as f64 / 4000.0;
         assert!((lost - 0.3).abs() < 0.03, "lost {lost}");
         assert!((late - 0.7 * 0.25).abs() < 0.03, "late {late}");
         assert_eq!(faults.fate(17), fates[17]);

@@ -29,11 +29,7 @@ pub(crate) struct Call {
 
 impl Call {
     pub(crate) fn timed_out(&self) -> DeviceError {
-        DeviceError::Timeout {
-            device: self.device.clone(),
-            operation: self.operation,
-            after: self.timeout,
-        }
+        DeviceError::Timeout { device: self.device.clone(), operation: self.operation, after: self.timeout }
     }
 }
 

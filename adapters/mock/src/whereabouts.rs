@@ -99,11 +99,7 @@ fn objects(world: &World) -> Vec<ObjectView> {
         .ids()
         .into_iter()
         .filter_map(|id| {
-            Some(ObjectView {
-                id,
-                name: world.object(id)?.name.clone(),
-                world_from_object: world.pose(id)?,
-            })
+            Some(ObjectView { id, name: world.object(id)?.name.clone(), world_from_object: world.pose(id)? })
         })
         .collect()
 }

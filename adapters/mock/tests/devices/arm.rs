@@ -171,10 +171,9 @@ async fn an_emergency_stop_needs_a_person() {
     let error = arm.move_linear(&goal, LIMITS, TEN).await.unwrap_err();
     assert_eq!(kind(&error), Some(FaultKind::EmergencyStop), "{error}");
     assert!(!error.is_clearable());
-    for error in [
-        arm.clear_fault(SECOND).await.unwrap_err(),
-        arm.move_to(&goal, LIMITS, TEN).await.unwrap_err(),
-    ] {
+    for error in
+        [arm.clear_fault(SECOND).await.unwrap_err(), arm.move_to(&goal, LIMITS, TEN).await.unwrap_err()]
+    {
         assert_eq!(kind(&error), Some(FaultKind::EmergencyStop), "{error}");
     }
     arm.faults().update(|f| f.emergency_stop = false).unwrap();

@@ -2,6 +2,7 @@
 
 mod arm;
 mod camera;
+#[cfg(test)]
 mod fixtures;
 mod hand;
 mod world;
