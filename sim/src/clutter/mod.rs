@@ -36,11 +36,15 @@ const MIDDLE_M: f64 = 0.17;
 const FALLING_DT_S: f64 = 1.0 / 200.0;
 /// Longest time allowed for coming to rest, simulated seconds.
 const SETTLING_S: f64 = 4.0;
-/// How often what fell out is put back.
+/// How long a settled world is watched, simulated seconds.
+const WATCHED_S: f64 = 0.5;
+/// How far an object may move meanwhile, metres.
+const STEADY_M: f64 = 0.0003;
+/// How often what fell out, or found no rest, is put back.
 const ROUNDS: usize = 12;
 
 /// Puts objects into a new world and lets them come to rest. Objects that end outside the tray (or off the
-/// table's middle) are put back in from above. Deterministic by seed. Ids follow the order of the objects,
+/// table's middle) are put back in from above, and so are the few that find no rest where they are. Deterministic by seed. Ids follow the order of the objects,
 /// from 1.
 ///
 /// Packed objects for which there is no free place are put on top of the others.
@@ -62,26 +66,55 @@ pub fn arrange(settings: &WorldSettings, objects: &[Arc<Object>], how: Arrangeme
         .zip(objects)
         .map(|(id, object)| id.unwrap_or_else(|| pile::pour(&mut falling, object, &mut rng)))
         .collect();
-    settle(&mut falling, SETTLING_S);
-    for round in 0..ROUNDS {
-        let out: Vec<_> = ids.iter().copied().filter(|&id| is_outside(&falling, id)).collect();
-        if out.is_empty() {
-            break;
+    let mut round = 0;
+    loop {
+        settle(&mut falling, SETTLING_S);
+        let mut again: Vec<_> = ids
+            .iter()
+            .copied()
+            .filter(|&id| is_outside(&falling, id) || !settle::is_calm(&falling, id))
+            .collect();
+        if again.is_empty() || round == ROUNDS {
+            let (world, unsteady) = hand_out(&falling, settings, &ids);
+            if unsteady.is_empty() || round == ROUNDS {
+                return world;
+            }
+            again = unsteady;
         }
-        for id in out {
+        for id in again {
             pile::put_back(&mut falling, id, round, &mut rng);
         }
-        settle(&mut falling, SETTLING_S);
+        round += 1;
     }
-    // The world that is handed out begins at rest, with the steps its owner asked for.
+}
+
+/// The world as its owner asked for it, with shorter steps than those of falling, at rest; and which objects
+/// did not stay where they were.
+fn hand_out(falling: &World, settings: &WorldSettings, ids: &[ObjectId]) -> (World, Vec<ObjectId>) {
     let mut world = World::new(*settings);
-    for (object, id) in objects.iter().zip(ids) {
-        if let Some(pose) = falling.pose(id) {
+    for &id in ids {
+        if let (Some(object), Some(pose)) = (falling.object(id), falling.pose(id)) {
             world.add(object.clone(), &pose);
         }
     }
     settle(&mut world, SETTLING_S);
-    world
+    let places = |world: &World| -> Vec<_> {
+        world.ids().into_iter().map(|id| world.pose(id).map(|p| p.translation.vector)).collect()
+    };
+    let before = places(&world);
+    for _ in 0..(WATCHED_S / settings.dt_s).ceil() as usize {
+        world.step();
+    }
+    let moved = before.iter().zip(places(&world)).map(|(a, b)| match (a, b) {
+        (Some(a), Some(b)) => (a - b).norm() > STEADY_M,
+        _ => true,
+    });
+    let unsteady = ids.iter().zip(world.ids()).zip(moved);
+    let unsteady = unsteady
+        .filter(|&((_, new), moved)| moved || is_outside(&world, new) || !settle::is_calm(&world, new))
+        .map(|((old, _), _)| *old)
+        .collect();
+    (world, unsteady)
 }
 
 /// True when an object's origin is not within the tray, or not in the table's middle, or below the table.

@@ -1,6 +1,6 @@
 //! Coming to rest.
 
-use crate::world::World;
+use crate::world::{ObjectId, World};
 
 /// Slower than this, an object is at rest, metres per second.
 const SPEED_M_S: f64 = 0.005;
@@ -9,13 +9,14 @@ const TURN_RAD_S: f64 = 0.1;
 /// How long everything must be at rest, seconds.
 const CALM_S: f64 = 0.1;
 
+/// True when an object moves slower than 5 mm/s and turns slower than 0.1 rad/s now.
+pub(super) fn is_calm(world: &World, id: ObjectId) -> bool {
+    world.velocity(id).is_some_and(|(v, w)| v.norm() < SPEED_M_S && w.norm() < TURN_RAD_S)
+}
+
 /// True when every object moves slower than 5 mm/s and turns slower than 0.1 rad/s now.
 pub fn is_at_rest(world: &World) -> bool {
-    world
-        .ids()
-        .into_iter()
-        .filter_map(|id| world.velocity(id))
-        .all(|(v, w)| v.norm() < SPEED_M_S && w.norm() < TURN_RAD_S)
+    world.ids().into_iter().all(|id| is_calm(world, id))
 }
 
 /// Steps until everything has been at rest for 0.1 s (see [`is_at_rest`]), at most `limit_s` simulated

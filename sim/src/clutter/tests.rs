@@ -25,21 +25,29 @@ fn an_assortment_has_every_family_before_any_twice() {
 }
 
 #[test]
-fn a_pile_of_twelve_is_at_rest_in_the_tray_and_stays() {
-    let mut world = arrange(&in_tray(), &assortment(12, 1), Arrangement::Pile, 1);
-    assert_eq!(world.ids().len(), 12);
-    assert!(is_at_rest(&world));
-    let before = poses(&world);
-    let energy = world.energy();
-    for _ in 0..(1.0 / world.settings().dt_s) as usize {
-        world.step();
-        assert!(world.energy() < energy + 1e-4, "{energy} J, then {} J", world.energy());
-    }
-    for (id, (a, b)) in world.ids().into_iter().zip(before.iter().zip(poses(&world))) {
-        let moved = (a.translation.vector - b.translation.vector).norm();
-        assert!(moved < 1e-3, "{} moved {moved} m", world.object(id).unwrap().name);
-        assert!(a.rotation.angle_to(&b.rotation) < 0.05, "{} turned", world.object(id).unwrap().name);
-        assert!(!is_outside(&world, id));
+fn settled_scenes_are_in_the_tray_and_stay() {
+    for (how, count, seed) in [
+        (Arrangement::Pile, 12, 1),
+        (Arrangement::Pile, 5, 2),
+        (Arrangement::Packed, 12, 3),
+        (Arrangement::Pile, 16, 28),
+    ] {
+        let mut world = arrange(&in_tray(), &assortment(count, seed), how, seed);
+        assert_eq!(world.ids().len(), count);
+        assert!(is_at_rest(&world));
+        let before = poses(&world);
+        let energy = world.energy();
+        for _ in 0..(1.0 / world.settings().dt_s) as usize {
+            world.step();
+            assert!(world.energy() < energy + 1e-4, "{energy} J, then {} J", world.energy());
+        }
+        for (id, (a, b)) in world.ids().into_iter().zip(before.iter().zip(poses(&world))) {
+            let name = &world.object(id).unwrap().name;
+            let moved = (a.translation.vector - b.translation.vector).norm();
+            assert!(moved < 1e-3, "{how:?} {seed}: {name} moved {moved} m");
+            assert!(a.rotation.angle_to(&b.rotation) < 0.05, "{how:?} {seed}: {name} turned");
+            assert!(!is_outside(&world, id));
+        }
     }
 }
 

@@ -64,13 +64,13 @@ fn what_is_wrong_is_named() {
         ("\"gravity\":", "\"levity\":", "scene.settings", "unknown field `levity`"),
         ("\"gravity\":9.81", "\"gravity\":-9.81", "settings.gravity", "0 to 100"),
         ("\"name\":\"cup\"", "\"name\":\"cup\",\"color\":3", "objects[0].color", "no such field"),
-        ("\"wall_m\":0", "\"wall_m\":-0", "objects[0].source.family.cup.wall_m", " to "),
+        ("\"top_radius_m\":0", "\"top_radius_m\":-0", "objects[0].source.family.cup.top_radius_m", " to "),
         ("\"cup\":{", "\"vase\":{", "objects[0].source", "unknown variant `vase`"),
         ("\"friction\":0.5,\"mass_kg\"", "\"friction\":-1,\"mass_kg\"", "objects[1].friction", "0 to 10"),
         ("[-0.1,0.0,", "[-1e3,0.0,", "objects[1].position_m", "-10 to 10"),
         ("[0.0,0.0,0.0,1.0]", "[0.0,0.0,0.0,0.0]", "objects[0].orientation_xyzw: length", "0.999"),
-        ("\"triangles\":[[0,4,6],", "\"triangles\":[", "objects[1].source.mesh", "closed"),
-        ("\"triangles\":[[0,4,6],", "\"triangles\":[[0,4,9],", "objects[1].source.mesh", "indices"),
+        ("\"triangles\":[[0,1,2],", "\"triangles\":[", "objects[1].source.mesh", "closed"),
+        ("\"triangles\":[[0,1,2],", "\"triangles\":[[0,1,9],", "objects[1].source.mesh", "indices"),
     ] {
         assert!(small().contains(from), "{from} not in {}", small());
         let SceneError::Field { field: found, expected: says, .. } = error(&small().replacen(from, to, 1));

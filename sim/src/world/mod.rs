@@ -11,10 +11,10 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::prelude::{
     CoefficientCombineRule, ColliderBuilder, FrictionModel, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle,
-    SharedShape,
 };
 
 use crate::convert;
+use crate::hull;
 use crate::object::Object;
 
 /// Names an object of a [`World`]; never used twice.
@@ -75,6 +75,8 @@ impl World {
         p.contact_softness.natural_frequency = settings.contact_hz;
         p.static_contact_softness.natural_frequency = 2.0 * settings.contact_hz;
         p.friction_model = FrictionModel::Coulomb;
+        // Recycled contacts save half of the time, but some things then creep or rock for seconds.
+        p.contact_recycling = false;
         let half = settings.table_half_extent_m;
         let table = RigidBodyBuilder::fixed().translation(convert::vector(&Vector3::new(0.0, 0.0, -0.05)));
         physics.insert(table, ColliderBuilder::cuboid(half, half, 0.05).friction(settings.table_friction));
@@ -104,11 +106,7 @@ impl World {
 
     /// Puts an object into the world, at rest.
     pub fn add(&mut self, object: Arc<Object>, world_from_object: &Isometry3<f64>) -> ObjectId {
-        let shapes: Vec<_> = object
-            .parts
-            .iter()
-            .filter_map(|part| SharedShape::convex_hull(&part.iter().map(convert::point).collect::<Vec<_>>()))
-            .collect();
+        let shapes: Vec<_> = object.parts.iter().filter_map(|part| hull::shape(part)).collect();
         // The engine has no rolling friction: without some damping, round things would roll for ever.
         let body = RigidBodyBuilder::dynamic().angular_damping(1.0).ccd_enabled(true);
         let body = body.pose(convert::pose(world_from_object));
