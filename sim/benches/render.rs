@@ -7,7 +7,7 @@ use divan::Bencher;
 use graspd_sim::camera::look_at;
 use graspd_sim::mesh::Mesh;
 use graspd_sim::object::{Object, Surface};
-use graspd_sim::render::capture;
+use graspd_sim::render::{capture, picture};
 use graspd_sim::sensor::Sensor;
 use graspd_sim::world::{Tray, World, WorldSettings};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -79,4 +79,10 @@ fn noise(bencher: Bencher<'_, '_>) {
 fn frame(bencher: Bencher<'_, '_>) {
     let (world, sensor) = (tray(), Sensor::azure_kinect());
     bencher.bench_local(|| sensor.observe(&capture(&world, &sensor.lens, &above()), 1));
+}
+
+#[divan::bench(sample_count = 5)]
+fn picture_for_people(bencher: Bencher<'_, '_>) {
+    let (world, lens) = (tray(), Sensor::azure_kinect().lens);
+    bencher.bench_local(|| picture(&world, &lens, &above()));
 }

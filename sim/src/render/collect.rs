@@ -5,7 +5,8 @@ use std::borrow::Cow;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::raster::Piece;
-use super::{BACKGROUND, FIRST_HAND, solids};
+use super::solids::{self, Triangles};
+use super::{BACKGROUND, FIRST_HAND};
 use crate::mesh::Mesh;
 use crate::object::Surface;
 use crate::world::World;
@@ -72,7 +73,7 @@ impl<'a> Sight<'a> {
             let number = u16::try_from(index).map_or(u16::MAX, |i| FIRST_HAND.saturating_add(i));
             for visual in &hand.visuals {
                 let Some(world_from_link) = links.get(visual.link) else { continue };
-                let (vertices, triangles) = solids::triangulate(&visual.shape);
+                let Triangles { vertices, triangles } = solids::triangulate(&visual.shape);
                 sight.parts.push(Part {
                     kind: Kind::Hand,
                     id: number,
@@ -115,5 +116,10 @@ impl<'a> Sight<'a> {
     /// What a piece belongs to.
     pub(crate) fn kind(&self, piece: u32) -> Option<Kind> {
         self.parts.get(piece as usize).map(|p| p.kind)
+    }
+
+    /// What a piece gives back of light.
+    pub(crate) fn surface(&self, piece: u32) -> Option<Surface> {
+        self.parts.get(piece as usize).map(|p| p.surface)
     }
 }

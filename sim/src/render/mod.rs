@@ -1,8 +1,12 @@
 //! What a perfect depth camera would see: triangles rasterized into a z-buffer.
 
 mod collect;
+mod palette;
+mod picture;
 mod raster;
 pub mod solids;
+
+pub use picture::{RgbImage, depth_picture, picture};
 
 use nalgebra::Isometry3;
 
@@ -51,22 +55,6 @@ pub struct View {
     pub specular: Vec<f32>,
 }
 
-impl View {
-    /// A view of nothing at all.
-    fn empty(lens: &Pinhole, world_from_camera: &Isometry3<f64>) -> Self {
-        let pixels = lens.width.saturating_mul(lens.height);
-        Self {
-            lens: *lens,
-            world_from_camera: *world_from_camera,
-            depth_m: vec![f32::NAN; pixels],
-            instance: vec![BACKGROUND; pixels],
-            cos_incidence: vec![0.0; pixels],
-            albedo: vec![0.0; pixels],
-            specular: vec![0.0; pixels],
-        }
-    }
-}
-
 /// Rasterizes instances: the nearest surface at each pixel's centre, whichever side of it is seen. Triangles that
 /// are not finite, or refer to vertices that do not exist, are left out; so is what is nearer than a millimetre.
 pub fn render(lens: &Pinhole, world_from_camera: &Isometry3<f64>, instances: &[Instance<'_>]) -> View {
@@ -91,27 +79,42 @@ pub fn capture(world: &World, lens: &Pinhole, world_from_camera: &Isometry3<f64>
 
 fn view(lens: &Pinhole, world_from_camera: &Isometry3<f64>, pieces: &[Piece<'_>]) -> View {
     let raster = raster::rasterize(lens, world_from_camera, pieces);
-    let mut view = View::empty(lens, world_from_camera);
-    if view.depth_m.is_empty() {
-        return view;
-    }
+    let pixels = raster.facet.len();
+    let (mut instance, mut cos_incidence) = (vec![BACKGROUND; pixels], vec![0.0; pixels]);
+    let (mut albedo, mut specular) = (vec![0.0; pixels], vec![0.0; pixels]);
     let seen: Vec<_> =
         pieces.iter().map(|p| (p.id, p.surface.albedo as f32, p.surface.specular as f32)).collect();
+    for (i, &facet) in raster.facet.iter().enumerate() {
+        let Some(facet) = raster.facets.get(facet as usize) else { continue };
+        (instance[i], albedo[i], specular[i]) = seen[facet.piece as usize];
+        cos_incidence[i] = facet.distance;
+    }
     let x: Vec<f32> = (0..lens.width).map(|u| ((u as f64 - lens.cx_px) / lens.fx_px) as f32).collect();
-    for v in 0..lens.height {
+    // Images without columns have no rows either: a chunk must have a size.
+    let width = lens.width.max(1);
+    for (v, (cos, inverse)) in
+        cos_incidence.chunks_exact_mut(width).zip(raster.inverse.chunks_exact(width)).enumerate()
+    {
         let y = ((v as f64 - lens.cy_px) / lens.fy_px) as f32;
-        let row = v * lens.width..(v + 1) * lens.width;
-        for (x, i) in x.iter().zip(row) {
-            let Some(facet) = raster.facets.get(raster.facet[i] as usize) else { continue };
-            let inverse = raster.inverse[i];
-            let (id, albedo, specular) = seen[facet.piece as usize];
-            view.depth_m[i] = 1.0 / inverse;
-            view.instance[i] = id;
-            // The ray's length at depth 1 over the plane's distance at depth 1.
-            view.cos_incidence[i] = (facet.distance * inverse / (1.0 + x * x + y * y).sqrt()).min(1.0);
-            view.albedo[i] = albedo;
-            view.specular[i] = specular;
+        for ((cos, inverse), x) in cos.iter_mut().zip(inverse).zip(&x) {
+            // The plane's distance over that of the point: the ray's length at depth 1 times the depth.
+            *cos = (*cos * inverse / (1.0 + x * x + y * y).sqrt()).min(1.0);
         }
     }
-    view
+    let mut depth_m = raster.inverse;
+    for depth in &mut depth_m {
+        *depth = if *depth > 0.0 { 1.0 / *depth } else { f32::NAN };
+    }
+    View {
+        lens: *lens,
+        world_from_camera: *world_from_camera,
+        depth_m,
+        instance,
+        cos_incidence,
+        albedo,
+        specular,
+    }
 }
+
+#[cfg(test)]
+mod tests;

@@ -13,11 +13,28 @@ const SIDES: u32 = 24;
 /// Rings of a sphere between its poles.
 const RINGS: u32 = 11;
 
-/// Vertices and triangles of a shape, in its own frame: borrowed from a mesh, made for everything else.
-/// Closed, and facing outwards where the shape is.
-pub fn triangulate(shape: &Shape) -> (Cow<'_, [Point3<f64>]>, Cow<'_, [[u32; 3]]>) {
+/// Triangles of a shape, in its own frame.
+#[derive(Debug, Clone)]
+pub struct Triangles<'a> {
+    /// Vertices.
+    pub vertices: Cow<'a, [Point3<f64>]>,
+    /// Indices into the vertices, counter-clockwise seen from outside.
+    pub triangles: Cow<'a, [[u32; 3]]>,
+}
+
+impl Triangles<'_> {
+    /// As a mesh of its own.
+    pub fn into_mesh(self) -> Mesh {
+        Mesh { vertices: self.vertices.into_owned(), triangles: self.triangles.into_owned() }
+    }
+}
+
+/// Triangles of a shape: borrowed from a mesh, made for everything else.
+pub fn triangulate(shape: &Shape) -> Triangles<'_> {
     let made = match shape {
-        Shape::Mesh { vertices, triangles } => return (vertices.into(), triangles.into()),
+        Shape::Mesh { vertices, triangles } => {
+            return Triangles { vertices: vertices.into(), triangles: triangles.into() };
+        }
         Shape::Box { half_extents } => Mesh::cuboid(*half_extents),
         Shape::Cylinder { radius, half_length } => turned(&[
             (0.0, -half_length),
@@ -27,7 +44,7 @@ pub fn triangulate(shape: &Shape) -> (Cow<'_, [Point3<f64>]>, Cow<'_, [[u32; 3]]
         ]),
         Shape::Sphere { radius } => sphere(*radius),
     };
-    (made.vertices.into(), made.triangles.into())
+    Triangles { vertices: made.vertices.into(), triangles: made.triangles.into() }
 }
 
 /// A sphere about the origin.
@@ -76,8 +93,7 @@ mod tests {
     use nalgebra::Vector3;
 
     fn volume(shape: &Shape) -> f64 {
-        let (vertices, triangles) = triangulate(shape);
-        Mesh { vertices: vertices.into_owned(), triangles: triangles.into_owned() }.volume()
+        triangulate(shape).into_mesh().volume()
     }
 
     #[test]
@@ -88,9 +104,9 @@ mod tests {
         assert!((cylinder / (PI * 0.01 * 0.4) - 1.0).abs() < 0.02, "{cylinder}");
         let sphere = volume(&Shape::Sphere { radius: 0.1 });
         assert!((sphere / (PI * 4.0 / 3.0 * 0.001) - 1.0).abs() < 0.04, "{sphere}");
-        // A sphere moved as a mesh keeps its volume only if no face is missing.
-        let (vertices, triangles) = triangulate(&Shape::Sphere { radius: 0.1 });
+        // A mesh that is moved keeps its volume only if no face is missing.
+        let Mesh { vertices, triangles } = triangulate(&Shape::Sphere { radius: 0.1 }).into_mesh();
         let vertices = vertices.iter().map(|v| v + Vector3::new(3.0, -2.0, 5.0)).collect();
-        assert!((volume(&Shape::Mesh { vertices, triangles: triangles.into_owned() }) - sphere).abs() < 1e-9);
+        assert!((volume(&Shape::Mesh { vertices, triangles }) - sphere).abs() < 1e-9);
     }
 }

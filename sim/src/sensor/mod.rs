@@ -23,3 +23,6 @@ pub struct DepthImage {
     /// Distance along the optical axis, metres, row major; 0 where there was no return.
     pub depth_m: Vec<f32>,
 }
+
+#[cfg(test)]
+mod tests;

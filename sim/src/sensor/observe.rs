@@ -23,10 +23,12 @@ impl Sensor {
             return DepthImage { width, height, depth_m: vec![0.0; pixels.min(view.depth_m.len())] };
         }
         let exposure = Exposure::new(self, view);
+        let mut known = Known::new(width);
         let mut depth_m = vec![0.0; pixels];
         for (row, out) in depth_m.chunks_exact_mut(width).enumerate() {
             let mut rng = Xoshiro256PlusPlus::seed_from_u64(mix(mix(seed) ^ row as u64));
-            exposure.row(row, out, &mut rng);
+            known.prepare(&exposure, row);
+            exposure.row(row, &known, out, &mut rng);
         }
         DepthImage { width, height, depth_m }
     }
@@ -56,14 +58,8 @@ struct Exposure<'a> {
     /// Where depth jumps.
     edge: Vec<bool>,
     systematic: Systematic,
-    axial: [f32; 4],
-    amplitude: [f32; 3],
-    range: [f32; 2],
-    grazing_cos: [f32; 2],
-    shiny: [f32; 2],
     blur: f32,
     jitter: f32,
-    quantum: Option<[f32; 2]>,
 }
 
 impl<'a> Exposure<'a> {
@@ -71,103 +67,64 @@ impl<'a> Exposure<'a> {
         let inverse: Vec<f32> =
             view.depth_m.iter().map(|&z| if z > 0.0 && z < f32::MAX { 1.0 / z } else { 0.0 }).collect();
         let edge = edges(&inverse, &view.lens, sensor.edges.step_m as f32, sensor.edges.reach_px);
-        let cos = |degrees: f64| degrees.to_radians().cos() as f32;
-        let amplitude = &sensor.amplitude;
-        let quantum = sensor.quantum_m;
-        Self {
-            view,
-            sensor,
-            inverse,
-            edge,
-            systematic: Systematic::new(sensor),
-            axial: [
-                sensor.axial.floor_m.powi(2) as f32,
-                sensor.axial.linear.powi(2) as f32,
-                sensor.axial.quadratic.powi(2) as f32,
-                sensor.axial.cap_m as f32,
-            ],
-            amplitude: [
-                (amplitude.floor * (1.0 - amplitude.fade)) as f32,
-                (amplitude.floor * (1.0 + amplitude.fade)) as f32,
-                if amplitude.ceiling > 0.0 { amplitude.ceiling as f32 } else { f32::INFINITY },
-            ],
-            range: [sensor.range.nearest_m as f32, sensor.range.farthest_m as f32],
-            grazing_cos: [cos(sensor.grazing.end_deg), cos(sensor.grazing.start_deg)],
-            shiny: [sensor.shiny.anywhere as f32, sensor.shiny.facing as f32],
-            blur: sensor.lateral.blur as f32,
-            // The standard deviation of a uniform number is its range over the square root of 12.
-            jitter: (sensor.lateral.jitter_px * 12f64.sqrt()) as f32,
-            quantum: (quantum > 0.0).then(|| [(1.0 / quantum) as f32, quantum as f32]),
-        }
+        // The standard deviation of a uniform number is its range over the square root of 12.
+        let jitter = (sensor.lateral.jitter_px * 12f64.sqrt()) as f32;
+        let systematic = Systematic::new(&sensor.systematic);
+        Self { view, sensor, inverse, edge, systematic, blur: sensor.lateral.blur as f32, jitter }
     }
 
     /// One row of the image; `out` begins as zeros.
-    fn row(&self, row: usize, out: &mut [f32], rng: &mut Xoshiro256PlusPlus) {
-        let view = self.view;
-        let width = view.lens.width;
-        let (first, last) = lit(&self.sensor.illumination, &view.lens, row);
-        let last_row = view.lens.height - 1;
-        for column in first..last {
-            let i = row * width + column;
-            let inverse = self.inverse[i];
-            if inverse == 0.0 {
+    fn row(&self, row: usize, known: &Known, out: &mut [f32], rng: &mut Xoshiro256PlusPlus) {
+        let width = self.view.lens.width;
+        let (first, last) = lit(&self.sensor.illumination, &self.view.lens, row);
+        let start = row * width;
+        let depth = &self.view.depth_m[start..start + width];
+        let edge = &self.edge[start..start + width];
+        let inner = row > 0 && row + 1 < self.view.lens.height;
+        for (column, out) in out.iter_mut().enumerate().take(last).skip(first) {
+            let returns = known.returns[column];
+            // Also where the share is not a number.
+            if !(returns >= 1.0 || (returns > 0.0 && unit(rng.next_u32()) < returns)) {
                 continue;
             }
-            let z = view.depth_m[i];
-            let light = view.albedo[i] * (1.0 - view.specular[i]) * view.cos_incidence[i];
-            let missing = self.missing(light * inverse * inverse, view.cos_incidence[i], view.specular[i]);
-            if missing > 0.0 && unit(rng.next_u32()) < missing {
-                continue;
-            }
-            let mut z = if self.edge[i] {
+            let z = depth[column];
+            let z = if edge[column] {
                 let Some(z) = self.at_edge(row, column, z, rng) else { continue };
                 z
-            } else if column > 0 && column + 1 < width && row > 0 && row < last_row {
-                let [left, right] = [self.inverse[i - 1], self.inverse[i + 1]];
-                let [upper, lower] = [self.inverse[i - width], self.inverse[i + width]];
-                let bits = rng.next_u64();
-                let (du, dv) = (unit(bits as u32) - 0.5, unit((bits >> 32) as u32) - 0.5);
-                let shift = self.blur * (left + right + upper + lower - 4.0 * inverse)
-                    + self.jitter * 0.5 * (du * (right - left) + dv * (lower - upper));
-                z / (1.0 + z * shift).max(0.5)
+            } else if inner && column > 0 && column + 1 < width {
+                z / (1.0 + z * self.lateral(start + column, width, rng)).max(0.5)
             } else {
                 z
             };
-            let [floor, linear, quadratic, cap] = self.axial;
-            let squared = z * z;
-            let sigma = (floor + (linear + quadratic * squared) * squared / light.max(1e-6)).sqrt().min(cap);
-            z += self.systematic.at(z) + sigma * rng.sample::<f32, _>(StandardNormal);
-            if let Some([per_quantum, quantum]) = self.quantum {
-                // Rounding by adding and cutting off: depths are positive, and far below two to the 31.
-                z = (z * per_quantum + 0.5) as i32 as f32 * quantum;
-            }
-            if z > 0.0 && z >= self.range[0] && z <= self.range[1] {
-                out[column] = z;
-            }
+            *out = z + known.bias[column] + known.sigma[column] * rng.sample::<f32, _>(StandardNormal);
         }
+        self.deliver(out);
     }
 
-    /// Probability that a surface does not return.
-    fn missing(&self, amplitude: f32, cos: f32, specular: f32) -> f32 {
-        let [none, all, ceiling] = self.amplitude;
-        let [end, start] = self.grazing_cos;
-        if amplitude >= all && amplitude <= ceiling && cos >= start && specular == 0.0 {
-            return 0.0;
+    /// How much the inverse depth changes by what a pixel sees of its neighbours.
+    fn lateral(&self, i: usize, width: usize, rng: &mut Xoshiro256PlusPlus) -> f32 {
+        let here = self.inverse[i];
+        let [left, right] = [self.inverse[i - 1], self.inverse[i + 1]];
+        let [upper, lower] = [self.inverse[i - width], self.inverse[i + width]];
+        let bits = rng.next_u64();
+        let (du, dv) = (unit(bits as u32) - 0.5, unit((bits >> 32) as u32) - 0.5);
+        self.blur * (left + right + upper + lower - 4.0 * here)
+            + self.jitter * 0.5 * (du * (right - left) + dv * (lower - upper))
+    }
+
+    /// Whole steps, within the range.
+    fn deliver(&self, row: &mut [f32]) {
+        /// Adding and subtracting it leaves a whole number, for numbers below half of its bits.
+        const WHOLE: f32 = 12_582_912.0;
+        let (near, far) = (self.sensor.range.nearest_m as f32, self.sensor.range.farthest_m as f32);
+        let quantum = self.sensor.quantum_m as f32;
+        let per_quantum = if quantum > 0.0 { 1.0 / quantum } else { 0.0 };
+        for out in row {
+            let steps = *out * per_quantum;
+            let whole = (steps + WHOLE) - WHOLE;
+            let z = if per_quantum > 0.0 && steps < 4_194_304.0 { whole * quantum } else { *out };
+            *out = if z > 0.0 && z >= near && z <= far { z } else { 0.0 };
         }
-        let ramp = |x: f32, none: f32, all: f32| {
-            if x >= all {
-                1.0
-            } else if x <= none {
-                0.0
-            } else {
-                (x - none) / (all - none)
-            }
-        };
-        if amplitude > ceiling {
-            return 1.0;
-        }
-        let shiny = specular * (self.shiny[0] + self.shiny[1] * cos.powi(8));
-        1.0 - ramp(amplitude, none, all) * ramp(cos, end, start) * (1.0 - shiny.clamp(0.0, 1.0))
     }
 
     /// What a pixel at an edge returns: a depth between fore- and background, or nothing.
@@ -253,38 +210,103 @@ fn lit(polygon: &[[f64; 2]], lens: &crate::camera::Pinhole, row: usize) -> (usiz
     if low <= high { (column(low), column(high)) } else { (0, 0) }
 }
 
-/// The repeated error of one device, tabulated over depth.
+/// What is known of each pixel of a row before any chance comes in.
+struct Known {
+    /// Probability of a return.
+    returns: Vec<f32>,
+    /// Standard deviation along the axis, metres.
+    sigma: Vec<f32>,
+    /// Error that the device repeats, metres.
+    bias: Vec<f32>,
+}
+
+impl Known {
+    fn new(width: usize) -> Self {
+        let [returns, sigma, bias] = [(); 3].map(|()| vec![0.0; width]);
+        Self { returns, sigma, bias }
+    }
+
+    fn prepare(&mut self, exposure: &Exposure<'_>, row: usize) {
+        let (sensor, view, width) = (exposure.sensor, exposure.view, self.returns.len());
+        let row = row * width..(row + 1) * width;
+        let (depth, inverse) = (&view.depth_m[row.clone()], &exposure.inverse[row.clone()]);
+        let (cos, albedo) = (&view.cos_incidence[row.clone()], &view.albedo[row.clone()]);
+        let specular = &view.specular[row];
+        let floor = &sensor.amplitude;
+        let by_amplitude = Ramp::new(floor.floor * (1.0 - floor.fade), floor.floor * (1.0 + floor.fade));
+        let cosine = |degrees: f64| if degrees < 90.0 { degrees.to_radians().cos() } else { 0.0 };
+        let by_angle = Ramp::new(cosine(sensor.grazing.end_deg), cosine(sensor.grazing.start_deg));
+        let ceiling = if floor.ceiling > 0.0 { floor.ceiling as f32 } else { f32::INFINITY };
+        let (anywhere, facing) = (sensor.shiny.anywhere as f32, sensor.shiny.facing as f32);
+        let square = |x: f64| (x * x) as f32;
+        let axial = &sensor.axial;
+        let (constant, linear, quadratic) =
+            (square(axial.floor_m), square(axial.linear), square(axial.quadratic));
+        let cap = axial.cap_m as f32;
+        for i in 0..width {
+            let (z, inverse, cos, specular) = (depth[i], inverse[i], cos[i], specular[i]);
+            let light = albedo[i] * (1.0 - specular) * cos;
+            let amplitude = light * inverse * inverse;
+            let fourth = (cos * cos) * (cos * cos);
+            let shiny = (specular * (anywhere + facing * fourth * fourth)).clamp(0.0, 1.0);
+            let share = by_amplitude.at(amplitude) * by_angle.at(cos) * (1.0 - shiny);
+            self.returns[i] = if inverse > 0.0 && amplitude <= ceiling { share } else { 0.0 };
+            let squared = z * z;
+            let noise = (linear + quadratic * squared) * squared / light.max(1e-6);
+            self.sigma[i] = (constant + noise).sqrt().min(cap);
+        }
+        exposure.systematic.fill(depth, &mut self.bias);
+    }
+}
+
+/// From 0 to 1 between two values; 1 everywhere from 0 on when both are 0 or less.
+struct Ramp {
+    from: f32,
+    per: f32,
+}
+
+impl Ramp {
+    fn new(from: f64, to: f64) -> Self {
+        let from = if to > 0.0 { from } else { -1.0 };
+        Self { from: from as f32, per: (1.0 / (to - from).max(1e-9)) as f32 }
+    }
+
+    fn at(&self, x: f32) -> f32 {
+        ((x - self.from) * self.per).clamp(0.0, 1.0)
+    }
+}
+
+/// The repeated error of one device.
 struct Systematic {
+    offset: f32,
+    scale: f32,
+    wiggle: f32,
     per_metre: f32,
-    table: Vec<f32>,
+    phase: f32,
 }
 
 impl Systematic {
-    const STEPS: usize = 1024;
-
-    fn new(sensor: &Sensor) -> Self {
-        let config = &sensor.systematic;
+    fn new(config: &super::Systematic) -> Self {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(mix(config.device ^ 0x6465_7669_6365));
         let [offset, scale, phase] = [(); 3].map(|()| rng.random::<f64>() * 2.0 - 1.0);
         // A period of nothing is no wiggle.
-        let turns = if config.wiggle_period_m > 0.0 { 1.0 / config.wiggle_period_m } else { 0.0 };
-        let span = sensor.range.farthest_m.clamp(0.1, 100.0);
-        let table = (0..=Self::STEPS + 1)
-            .map(|i| {
-                let z = span * i as f64 / Self::STEPS as f64;
-                let angle = std::f64::consts::TAU * (z * turns + 0.5 * phase);
-                (config.offset_m * offset + config.scale * scale * z + config.wiggle_m * angle.sin()) as f32
-            })
-            .collect();
-        Self { per_metre: (Self::STEPS as f64 / span) as f32, table }
+        let per_metre = if config.wiggle_period_m > 0.0 { 1.0 / config.wiggle_period_m } else { 0.0 };
+        Self {
+            offset: (config.offset_m * offset) as f32,
+            scale: (config.scale * scale) as f32,
+            wiggle: config.wiggle_m as f32,
+            per_metre: per_metre as f32,
+            phase: (0.5 * phase) as f32,
+        }
     }
 
-    fn at(&self, z: f32) -> f32 {
-        let x = (z * self.per_metre).clamp(0.0, Self::STEPS as f32);
-        let i = x as usize;
-        match self.table.get(i..i + 2) {
-            Some(&[a, b]) => a + (b - a) * (x - i as f32),
-            _ => 0.0,
+    fn fill(&self, depth: &[f32], bias: &mut [f32]) {
+        for (bias, &z) in bias.iter_mut().zip(depth) {
+            // Turns around the nearest whole one, and the sine of them within a thousandth.
+            let turns = z * self.per_metre + self.phase;
+            let turns = turns - ((turns + 12_582_912.0) - 12_582_912.0);
+            let arc = turns * (8.0 - 16.0 * turns.abs());
+            *bias = self.offset + self.scale * z + self.wiggle * arc * (0.775 + 0.225 * arc.abs());
         }
     }
 }
