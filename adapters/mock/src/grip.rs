@@ -71,6 +71,10 @@ impl Shared {
         reply: Reply<HandState>,
         command: &GripCommand,
     ) {
+        if reply.is_closed() {
+            // Given up before the hand heard of it.
+            return;
+        }
         let mut core = self.lock();
         if let Err(error) = core.begin(&mut stage.world, command) {
             let _unheard = reply.send(Err(error));

@@ -136,11 +136,12 @@ impl Hand for MockHand {
         let work = async {
             self.check(command)?;
             self.link.reach(&call, true).await?;
-            let (state, call, command) = (self.state.clone(), call.clone(), command.clone());
+            let (state, theirs, command) = (self.state.clone(), call.clone(), command.clone());
             let answer = self.link.shared.request(move |stage, reply| {
-                state.begin(stage, call, reply, &command);
+                state.begin(stage, theirs, reply, &command);
             });
-            answer.await.map_err(|_| self.link.ended())?
+            let answer = answer.await.map_err(|_| self.link.ended())?;
+            self.link.back(&call, answer).await
         };
         self.link.shared.bounded(&call.device, call.operation, timeout, work).await
     }

@@ -166,7 +166,7 @@ impl SharedWorld {
         self.with(move |world| world.add_hand(hand, &world_from_hand, &coordinates)).await
     }
 
-    /// Lets this many seconds go by on the world's clock.
+    /// Lets this many seconds go by on the world's clock. Waits as long as the world is paused.
     ///
     /// # Errors
     /// [`WorldEnded`].

@@ -144,3 +144,16 @@ async fn dropping_a_grip_stops_the_fingers() {
     assert!(hand.state(SECOND).await.unwrap().actuators[0] < 0.005);
     assert!((hand.grip(&close(0.02), TEN).await.unwrap().actuators[0] - 0.02).abs() < 1e-3);
 }
+
+#[tokio::test]
+async fn an_answer_that_is_lost_does_not_undo_what_was_done() {
+    let (shared, hand) = hand_in_the_air(Faults::default()).await;
+    let command = close(0.04);
+    let (lost, ()) = tokio::join!(hand.grip(&command, TEN), async {
+        shared.wait(0.1).await.unwrap();
+        hand.faults().update(|f| f.silent = Some(Spell::Seconds(9.0))).unwrap();
+    });
+    let DeviceError::Timeout { after, .. } = lost.unwrap_err() else { panic!("an answer came") };
+    assert_eq!(after, TEN);
+    assert!((hand.state(SECOND).await.unwrap().actuators[0] - 0.04).abs() < 1e-3);
+}
