@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use graspd_adapters_core::{Arm, DeviceError, FaultKind, GripCommand, Hand};
-use graspd_adapters_mock::{ArmSettings, Faults, HandSettings, MockArm, MockHand, Overload, SharedWorld, Spell};
+use graspd_adapters_mock::{
+    ArmSettings, Faults, HandSettings, MockArm, MockHand, Overload, SharedWorld, Spell,
+};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::fixtures::{LIMITS, SECOND, TEN, arm, close, down, fingers, gripper, shared};
@@ -168,14 +170,19 @@ async fn fingers_that_are_pressed_against_something_still_come_to_an_end() {
     let turn = UnitQuaternion::rotation_between(&described.approach, &-Vector3::z_axis());
     let turn = turn.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
     // The middle of the first finger's pad above the box, then two centimetres into it.
-    let links = described.tree.link_poses(&described.tree.body_poses(&described.actuation.joints(&described.actuation.open())));
+    let links = described
+        .tree
+        .link_poses(&described.tree.body_poses(&described.actuation.joints(&described.actuation.open())));
     let pad = turn * (links[described.pads[0].link] * described.pads[0].center).coords;
     let at = |z: f64| Isometry3::from_parts((Vector3::new(0.0, 0.0, z) - pad).into(), turn);
     let id = shared.add_hand(described.clone(), at(0.2), None).await.unwrap();
     let arm = MockArm::new(&shared, id, ArmSettings::default(), Faults::default()).unwrap();
     let hand = fingers(&shared, id, Faults::default()).await;
     let pressed = arm.move_linear(&at(0.03), LIMITS, TEN).await;
-    assert!(matches!(pressed, Err(DeviceError::Fault { kind: FaultKind::ProtectiveStop, .. })), "{pressed:?}");
+    assert!(
+        matches!(pressed, Err(DeviceError::Fault { kind: FaultKind::ProtectiveStop, .. })),
+        "{pressed:?}"
+    );
     let began_s = shared.time_s();
     let state = hand.grip(&close(described.actuation.closed()[0]), TEN).await.unwrap();
     assert!(state.settled && shared.time_s() - began_s < 3.0);
