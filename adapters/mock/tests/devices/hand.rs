@@ -117,8 +117,9 @@ async fn a_second_grip_is_refused_while_one_runs() {
     let (shared, hand) = hand_in_the_air(Faults::default()).await;
     let slow = GripCommand { speed: 0.1, ..close(0.05) };
     let (first, second) = tokio::join!(hand.grip(&slow, TEN), async {
-        shared.wait(0.1).await.unwrap();
-        hand.grip(&close(0.0), TEN).await
+        let held = shared.hold_after(0.1).await.unwrap();
+        let command = close(0.0);
+        tokio::join!(hand.grip(&command, TEN), async { drop(held) }).0
     });
     assert!((first.unwrap().actuators[0] - 0.05).abs() < 1e-3);
     assert!(matches!(second, Err(DeviceError::Busy { .. })), "{second:?}");
@@ -155,7 +156,7 @@ async fn an_answer_that_is_lost_does_not_undo_what_was_done() {
     let (shared, hand) = hand_in_the_air(Faults::default()).await;
     let command = close(0.04);
     let (lost, ()) = tokio::join!(hand.grip(&command, TEN), async {
-        shared.wait(0.1).await.unwrap();
+        let _held = shared.hold_after(0.1).await.unwrap();
         hand.faults().update(|f| f.silent = Some(Spell::Seconds(9.0))).unwrap();
     });
     let DeviceError::Timeout { after, .. } = lost.unwrap_err() else { panic!("an answer came") };

@@ -92,6 +92,24 @@ async fn impossible_settings_are_named() {
 }
 
 #[tokio::test]
+async fn a_hold_stops_the_clock_at_an_exact_moment_until_it_is_dropped() {
+    let shared = shared(0.0);
+    let (went_on, ()) = tokio::join!(shared.wait(2.0), async {
+        let held = shared.hold_after(0.5).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        assert!((shared.time_s() - 0.5).abs() < 1e-9, "{}", shared.time_s());
+        drop(held);
+    });
+    went_on.unwrap();
+    // One that is given up holds nothing.
+    assert!(tokio::time::timeout(Duration::ZERO, shared.hold_after(1e9)).await.is_err());
+    shared.wait(1.0).await.unwrap();
+    let still_s = shared.time_s();
+    tokio::time::sleep(Duration::from_millis(30)).await;
+    assert_eq!(shared.time_s(), still_s);
+}
+
+#[tokio::test]
 async fn two_arms_with_different_hands_work_in_one_world() {
     let shared = shared(0.0);
     let place = Isometry3::translation(0.1, 0.1, HALF[2]);
