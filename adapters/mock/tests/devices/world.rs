@@ -72,7 +72,8 @@ async fn the_world_can_be_looked_at_and_saved() {
     let json = shared.scene_json().await.unwrap();
     let again = scene::from_json(&json).unwrap();
     assert_eq!(again.ids().len(), 1);
-    let view = shared.view(lens(), Isometry3::new([0.0, 0.0, 0.5].into(), [3.1415927, 0.0, 0.0].into()));
+    let view =
+        shared.view(lens(), Isometry3::new([0.0, 0.0, 0.5].into(), [std::f64::consts::PI, 0.0, 0.0].into()));
     let view = view.await.unwrap();
     assert!((view.depth_m[24 * 64 + 32] - 0.45).abs() < 1e-3);
     let picture = shared.picture(lens(), view.world_from_camera).await.unwrap();
