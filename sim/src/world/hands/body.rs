@@ -245,7 +245,7 @@ fn solids(tree: &Tree, collision: &CollisionShape) -> Vec<Solid> {
 }
 
 /// A mesh as its convex hull where that adds little, else decomposed.
-fn mesh(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Vec<SharedShape> {
+pub(super) fn mesh(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Vec<SharedShape> {
     let points: Vec<_> = vertices.iter().map(convert::point).collect();
     let Some(hull) = SharedShape::convex_hull(&points) else { return Vec::new() };
     let volume: f64 = triangles
