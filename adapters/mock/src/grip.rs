@@ -1,0 +1,228 @@
+//! What a hand of a shared world is doing with its fingers. Lives on the world's thread.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use graspd_adapters_core::{DeviceError, FaultKind, GripCommand, HandState};
+use graspd_sim::world::{Command, HandId, World};
+
+use crate::fault_handle::FaultHandle;
+use crate::link::Call;
+use crate::shared::Reply;
+use crate::stage::{Process, Stage};
+
+/// A hand is also at rest when, for this long, seconds ...
+const STALL_S: f64 = 0.2;
+/// ... no actuator has gone farther than this share of its range: controllers end a grip that creeps.
+const STALL_SHARE: f64 = 1e-3;
+/// A grip that does not end in time is stopped this long before, seconds, so that the answer comes in time.
+const STOP_AHEAD_S: f64 = 0.01;
+
+/// State of one hand's controller.
+pub(crate) struct HandCore {
+    device: String,
+    hand: HandId,
+    faults: FaultHandle,
+    /// Range of each actuator, radians or metres.
+    ranges: Vec<f64>,
+    /// How far from its target an actuator at rest counts as held, share of its range; `None`: it feels nothing.
+    held_share: Option<f64>,
+    /// Target and share of force of the last command; `None` before the first.
+    target: Option<(Vec<f64>, f64)>,
+    overloaded: bool,
+    grip: Option<(Call, Reply<HandState>, f64)>,
+    driven: bool,
+    /// Where the actuators were when they last moved, and when that was.
+    still: Option<(Vec<f64>, f64)>,
+    /// True when the last grip ended with the fingers at rest.
+    rested: bool,
+}
+
+/// A hand controller's state, shared by its calls and its process; only ever locked on the world's thread.
+#[derive(Clone)]
+pub(crate) struct Shared(Arc<Mutex<HandCore>>);
+
+impl std::fmt::Debug for Shared {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("hand state")
+    }
+}
+
+impl Shared {
+    pub(crate) fn new(
+        device: String,
+        hand: HandId,
+        faults: FaultHandle,
+        ranges: Vec<f64>,
+        held_share: Option<f64>,
+    ) -> Self {
+        Self(Arc::new(Mutex::new(HandCore {
+            device,
+            hand,
+            faults,
+            ranges,
+            held_share,
+            target: None,
+            overloaded: false,
+            grip: None,
+            driven: false,
+            still: None,
+            rested: false,
+        })))
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, HandCore> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Begins a grip, or says why not.
+    pub(crate) fn begin(
+        &self,
+        stage: &mut Stage,
+        call: Call,
+        reply: Reply<HandState>,
+        command: &GripCommand,
+    ) {
+        if reply.is_closed() {
+            // Given up before the hand heard of it.
+            return;
+        }
+        let mut core = self.lock();
+        if let Err(error) = core.begin(&mut stage.world, command) {
+            let _unheard = reply.send(Err(error));
+            return;
+        }
+        core.grip = Some((call, reply, stage.world.time_s()));
+        if !core.driven {
+            core.driven = true;
+            stage.start(Fingers(self.clone()));
+        }
+    }
+}
+
+impl HandCore {
+    /// What the hand reports.
+    pub(crate) fn state(&self, world: &World) -> Result<HandState, DeviceError> {
+        let state = world.hand_state(self.hand).ok_or_else(|| self.gone())?;
+        let settled = state.settled || self.rested;
+        let held = match (&self.target, self.held_share) {
+            (_, None) => Vec::new(),
+            (None, Some(_)) => vec![false; self.ranges.len()],
+            (Some((target, _)), Some(share)) => {
+                let away = state.actuators.iter().zip(target).zip(&self.ranges);
+                let short = |((at, target), range): ((&f64, &f64), &f64)| (at - target).abs() > share * range;
+                away.map(|actuator| settled && !self.overloaded && short(actuator)).collect()
+            }
+        };
+        Ok(HandState { actuators: state.actuators, held, settled })
+    }
+
+    /// Makes an overloaded hand ready.
+    pub(crate) fn clear(&mut self) {
+        self.overloaded = false;
+    }
+
+    fn begin(&mut self, world: &mut World, command: &GripCommand) -> Result<(), DeviceError> {
+        if self.overloaded {
+            return Err(self.overload());
+        }
+        if self.grip.as_ref().is_some_and(|(_, reply, _)| !reply.is_closed()) {
+            return Err(DeviceError::Busy { device: self.device.clone(), with: "grip".into() });
+        }
+        let close = Command::Close {
+            actuators: command.actuators.clone(),
+            force: command.force,
+            speed: command.speed,
+        };
+        if !world.command(self.hand, close) {
+            return Err(self.gone());
+        }
+        self.target = Some((command.actuators.clone(), command.force));
+        (self.still, self.rested) = (None, false);
+        Ok(())
+    }
+
+    /// Looks at the hand after a step; true when no grip runs any more.
+    fn after_step(&mut self, world: &mut World) -> bool {
+        let now_s = world.time_s();
+        self.rested = self.rests(world, now_s);
+        let Some((call, reply, began_s)) = &self.grip else { return true };
+        let answer = if reply.is_closed() {
+            self.stop(world);
+            self.grip = None;
+            return true;
+        } else if self.faults.overloads(now_s - began_s) {
+            self.overloaded = true;
+            // Motors that protect themselves give no torque.
+            self.relax(world);
+            Err(self.overload())
+        } else {
+            match self.state(world) {
+                Ok(state) if !state.settled && now_s < call.until_s - STOP_AHEAD_S => return false,
+                Ok(state) if !state.settled => {
+                    let error = call.timed_out();
+                    self.stop(world);
+                    Err(error)
+                }
+                answer => answer,
+            }
+        };
+        if let Some((_, reply, _)) = self.grip.take() {
+            let _unheard = reply.send(answer);
+        }
+        true
+    }
+
+    /// True when the fingers have stalled.
+    fn rests(&mut self, world: &World, now_s: f64) -> bool {
+        let Some(state) = world.hand_state(self.hand) else { return false };
+        let (then, since_s) = self.still.get_or_insert_with(|| (state.actuators.clone(), now_s));
+        let moved = state.actuators.iter().zip(&*then).zip(&self.ranges);
+        if moved.into_iter().any(|((now, then), range)| (now - then).abs() > STALL_SHARE * range) {
+            (*then, *since_s) = (state.actuators, now_s);
+        }
+        now_s - *since_s >= STALL_S
+    }
+
+    /// Holds the fingers where they are, with the force that was asked for.
+    fn stop(&mut self, world: &mut World) {
+        let force = self.target.as_ref().map_or(1.0, |(_, force)| *force);
+        self.hold(world, force);
+    }
+
+    fn relax(&mut self, world: &mut World) {
+        self.hold(world, 0.0);
+    }
+
+    fn hold(&mut self, world: &mut World, force: f64) {
+        if let Some(state) = world.hand_state(self.hand) {
+            self.target = Some((state.actuators.clone(), force));
+            let command = Command::Close { actuators: state.actuators, force, speed: 1.0 };
+            // The hand was in the world a line ago.
+            let _sent = world.command(self.hand, command);
+        }
+    }
+
+    fn overload(&self) -> DeviceError {
+        let detail = "a motor reports overload; its fingers have no force".into();
+        DeviceError::Fault { device: self.device.clone(), kind: FaultKind::Overload, detail }
+    }
+
+    fn gone(&self) -> DeviceError {
+        let detail = "the hand is no longer in the world".into();
+        DeviceError::Disconnected { device: self.device.clone(), detail }
+    }
+}
+
+/// Looks after a hand while its fingers move.
+struct Fingers(Shared);
+
+impl Process for Fingers {
+    fn after_step(&mut self, world: &mut World) -> bool {
+        let mut core = self.0.lock();
+        let done = core.after_step(world);
+        if done {
+            core.driven = false;
+        }
+        done
+    }
+}
