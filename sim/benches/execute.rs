@@ -32,6 +32,7 @@ fn one_grasp(bencher: divan::Bencher<'_, '_>, id: &str) {
         mass_kg: 0.3,
         friction: 0.5,
         surface: Surface::default(),
+        source: graspd_sim::object::Source::Mesh,
     });
     let down = UnitQuaternion::rotation_between(&hand.approach, &-Vector3::z())
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));

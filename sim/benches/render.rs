@@ -51,6 +51,7 @@ fn tray() -> World {
             mass_kg: 0.2,
             friction: 0.5,
             surface: Surface { albedo: 0.5, specular: 0.1 },
+            source: graspd_sim::object::Source::Mesh,
         };
         let (x, y) = (0.1 * f64::from(i % 4) - 0.15, 0.1 * f64::from(i / 4) - 0.1);
         world.add(Arc::new(object), &Isometry3::translation(x, y, 0.04));

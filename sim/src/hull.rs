@@ -6,6 +6,7 @@
 //! hair, far enough to leave the face and too little to be seen. Beyond a tilt of about a degree the true rim bears.
 
 use nalgebra::Point3;
+use parry3d_f64::transformation::try_convex_hull;
 use rapier3d_f64::prelude::{ConvexPolyhedron, SharedShape, Vector};
 
 use crate::convert;
@@ -16,10 +17,22 @@ const DRAWN_BACK_M: f64 = 0.0002;
 /// The convex hull of points, ready to collide; `None` for points that span no volume.
 pub(crate) fn shape(points: &[Point3<f64>]) -> Option<SharedShape> {
     let points: Vec<_> = points.iter().map(convert::point).collect();
-    let hull = ConvexPolyhedron::from_convex_hull(&points)?;
-    let drawn = ConvexPolyhedron::from_convex_hull(&draw_back(&hull));
+    let hull = polyhedron(&points)?;
+    let drawn = polyhedron(&draw_back(&hull));
     // Something thinner than a hair keeps its faces.
     Some(SharedShape::new(drawn.unwrap_or(hull)))
+}
+
+/// The convex hull of points as it is, to measure; `None` for points that span no volume.
+pub(crate) fn exact(points: &[Point3<f64>]) -> Option<SharedShape> {
+    let points: Vec<_> = points.iter().map(convert::point).collect();
+    Some(SharedShape::new(polyhedron(&points)?))
+}
+
+/// The engine's own way from points to a polyhedron panics on some points.
+fn polyhedron(points: &[Vector]) -> Option<ConvexPolyhedron> {
+    let (corners, triangles) = try_convex_hull(points).ok()?;
+    ConvexPolyhedron::from_convex_mesh(corners, &triangles)
 }
 
 /// The hull's corners after faces of more than four have become quadrilaterals.

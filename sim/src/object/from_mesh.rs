@@ -227,7 +227,12 @@ fn decompose(mesh: &Mesh) -> Vec<Vec<Point3<f64>>> {
         max_convex_hulls: MOST_PARTS as u32,
         ..VHACDParameters::default()
     };
-    let decomposition = VHACD::decompose(&parameters, &points, &mesh.triangles, true);
+    // The decomposition takes hulls of hulls without asking whether that went well: on needle-like meshes it panics
+    // inside. Nothing of it survives here, and the caller gets an error about the mesh.
+    let decompose = || VHACD::decompose(&parameters, &points, &mesh.triangles, true);
+    let Ok(decomposition) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(decompose)) else {
+        return Vec::new();
+    };
     // Points where each part's voxels meet the surface: hulls made of them follow it, not the voxels.
     decomposition
         .voxel_parts()

@@ -23,7 +23,6 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use rapier3d_f64::prelude::SharedShape;
 use serde::{Deserialize, Serialize};
 
 use crate::convert;
@@ -192,8 +191,7 @@ fn draw_surface(rng: &mut Xoshiro256PlusPlus) -> Surface {
 fn centroid(parts: &[Vec<Point3<f64>>]) -> Vector3<f64> {
     let (mut sum, mut mass) = (Vector3::zeros(), 0.0);
     for part in parts {
-        let points: Vec<_> = part.iter().map(convert::point).collect();
-        let Some(hull) = SharedShape::convex_hull(&points) else { continue };
+        let Some(hull) = crate::hull::exact(part) else { continue };
         let properties = hull.mass_properties(1.0);
         sum += convert::from_vector(properties.local_com) * properties.mass();
         mass += properties.mass();

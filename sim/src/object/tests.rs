@@ -19,8 +19,7 @@ fn closed(mesh: &Mesh) -> bool {
 }
 
 fn hull_volume(part: &[Point3<f64>]) -> f64 {
-    let points: Vec<_> = part.iter().map(convert::point).collect();
-    SharedShape::convex_hull(&points).unwrap().mass_properties(1.0).mass()
+    crate::hull::exact(part).unwrap().mass_properties(1.0).mass()
 }
 
 #[test]
@@ -87,8 +86,7 @@ fn fingers_can_enter_a_cup_a_mug_and_a_ring() {
         let at =
             convert::point(&Point3::new(if kind == Kind::Mug { -0.003 } else { 0.0 }, 0.0, high.z * 0.9));
         for part in &object.parts {
-            let points: Vec<_> = part.iter().map(convert::point).collect();
-            let shape = SharedShape::convex_hull(&points).unwrap();
+            let shape = crate::hull::exact(part).unwrap();
             assert!(!shape.contains_local_point(at), "{} is stuffed", object.name);
         }
     }
@@ -128,8 +126,7 @@ fn an_l_shaped_mesh_becomes_a_few_parts_that_fill_it() {
     let (low, _) = object.mesh.bounds().unwrap();
     let free = convert::point(&Point3::new(low.x + sizes.width_m + 0.01, low.y + sizes.width_m + 0.01, 0.0));
     for part in &object.parts {
-        let points: Vec<_> = part.iter().map(convert::point).collect();
-        assert!(!SharedShape::convex_hull(&points).unwrap().contains_local_point(free));
+        assert!(!crate::hull::exact(part).unwrap().contains_local_point(free));
     }
 }
 
