@@ -34,7 +34,10 @@ impl Recovery {
         match self {
             Self::Retry => "wait (back-off), try again",
             Self::ClearAndRetry => "clear the fault, try again",
-            Self::ClearAndFeel => "clear the fault; go on if the hand still feels the object, else plan again",
+            Self::ClearAndFeel => {
+                "clear the fault; go on if the hand still feels the object, else the attempt has failed: open \
+                 (over the tray after a lift, at the drop pose when carrying), plan again"
+            }
             Self::Wait => "wait (back-off), try again until the run's time limit",
             Self::NextGrasp => "take the next ranked grasp; after the last one plan again",
             Self::LiftToPregrasp => "lift to the pre-grasp instead",

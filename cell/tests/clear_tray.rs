@@ -130,7 +130,7 @@ async fn trials_time_and_a_request_end_the_run_between_attempts() {
     short.run.time_limit_s = 30.0;
     let shared = Shared::new(50);
     let (report, _) = run(&shared, &short).await;
-    assert_eq!((report.end, report.holding), (End::TimeLimit, Holding::Nothing));
+    assert_eq!((report.end.clone(), report.holding), (End::TimeLimit, Holding::Nothing));
     assert!(report.tally.trials > 0 && report.duration_s < 60.0, "{report:?}");
     let shared = Shared::new(5);
     let (cell, config) = (shared.cell(), config());
@@ -141,7 +141,7 @@ async fn trials_time_and_a_request_end_the_run_between_attempts() {
     };
     let (report, ()) = tokio::join!(clear_tray(&cell, &config, &mut watcher), ask);
     let report = report.unwrap();
-    assert_eq!((report.end, report.holding), (End::Asked, Holding::Nothing));
+    assert_eq!((report.end.clone(), report.holding), (End::Asked, Holding::Nothing));
     assert_eq!(report.tally.successes, shared.world().delivered);
 }
 

@@ -30,6 +30,7 @@ impl CellConfig {
         ] {
             positive(field, value, 3600.0)?;
         }
+        inside("timeouts.patience", t.patience, (1.0..=1000.0).contains(&t.patience), "1 to 1000")?;
         let r = &self.recovery;
         let short = r.backoff_s > 0.0 && r.backoff_s <= r.longest_backoff_s;
         inside("recovery.backoff_s", r.backoff_s, short, "more than 0, at most recovery.longest_backoff_s")?;

@@ -91,7 +91,7 @@ pub struct DropConfig {
 
 impl Default for DropConfig {
     fn default() -> Self {
-        Self { position_m: [0.45, 0.0, 0.25], yaw_rad: 0.0 }
+        Self { position_m: [0.40, 0.0, 0.25], yaw_rad: 0.0 }
     }
 }
 

@@ -21,11 +21,14 @@ pub struct TimeoutConfig {
     pub state_s: f64,
     /// Stopping, or clearing a fault.
     pub clear_s: f64,
+    /// A device must end its calls within their timeouts itself. One that is silent for so many times the timeout is
+    /// taken as not answering. More than 1, since devices may count on a clock of their own (a simulation's, say).
+    pub patience: f64,
 }
 
 impl Default for TimeoutConfig {
     fn default() -> Self {
-        Self { capture_s: 2.0, plan_s: 30.0, move_s: 30.0, grip_s: 10.0, state_s: 2.0, clear_s: 5.0 }
+        Self { capture_s: 2.0, plan_s: 30.0, move_s: 30.0, grip_s: 10.0, state_s: 2.0, clear_s: 5.0, patience: 10.0 }
     }
 }
 

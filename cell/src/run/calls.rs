@@ -13,7 +13,7 @@ use crate::plan::PlannerError;
 use crate::pose::raised_to;
 use crate::steps::Trouble;
 
-/// A device must answer within its timeout; one that breaks its word is left alone after this much more.
+/// Added to every wait: answers take a moment on their way.
 const GRACE: Duration = Duration::from_millis(500);
 /// The actuator of a hand without touch is held when it stays this share of its way from its target.
 const HELD_SHARE: f64 = 0.03;
@@ -65,23 +65,6 @@ impl From<PlannerError> for Problem {
     }
 }
 
-/// Waits for a device, a little longer than it was allowed.
-async fn within<T>(
-    who: Who,
-    device: &str,
-    operation: &'static str,
-    limit: Duration,
-    call: impl Future<Output = Result<T, DeviceError>>,
-) -> Result<T, Problem> {
-    match tokio::time::timeout(limit + GRACE, call).await {
-        Ok(done) => done.map_err(|e| Problem::of(who, &e)),
-        Err(_) => {
-            let error = DeviceError::Timeout { device: device.to_owned(), operation, after: limit };
-            Err(Problem::of(who, &error))
-        }
-    }
-}
-
 /// Waits for a planner, a little longer than it was allowed.
 pub(super) async fn answered<T>(
     limit: Duration,
@@ -103,6 +86,25 @@ pub(super) enum Pace {
 }
 
 impl Run<'_> {
+    /// Waits for a device; not for ever, whatever the device does.
+    async fn within<T>(
+        &self,
+        who: Who,
+        device: &str,
+        operation: &'static str,
+        limit: Duration,
+        call: impl Future<Output = Result<T, DeviceError>>,
+    ) -> Result<T, Problem> {
+        let patience = limit.mul_f64(self.config.timeouts.patience) + GRACE;
+        match tokio::time::timeout(patience, call).await {
+            Ok(done) => done.map_err(|e| Problem::of(who, &e)),
+            Err(_) => {
+                let error = DeviceError::Timeout { device: device.to_owned(), operation, after: patience };
+                Err(Problem::of(who, &error))
+            }
+        }
+    }
+
     fn limits(&self, pace: Pace) -> Limits {
         let arm = &self.config.arm;
         let speed_m_s = match pace {
@@ -117,7 +119,7 @@ impl Run<'_> {
         let (camera, limit) = (&self.cell.camera, seconds(self.config.timeouts.capture_s));
         let max_age = seconds(self.config.camera.max_age_s);
         let name = camera.info().name;
-        let frame = within(Who::Camera, &name, "capture", limit, camera.capture(max_age, limit)).await?;
+        let frame = self.within(Who::Camera, &name, "capture", limit, camera.capture(max_age, limit)).await?;
         let text = if frame.age > max_age {
             format!("{name}: a frame {:?} old, expected at most {max_age:?}", frame.age)
         } else if self.last_exposure == Some(frame.sequence) {
@@ -131,19 +133,19 @@ impl Run<'_> {
     pub(super) async fn move_to(&self, pose: &Isometry3<f64>, pace: Pace) -> Result<(), Problem> {
         let (arm, limit) = (&self.cell.arm, seconds(self.config.timeouts.move_s));
         let call = arm.move_to(pose, self.limits(pace), limit);
-        within(Who::Arm, &arm.info().name, "move_to", limit, call).await
+        self.within(Who::Arm, &arm.info().name, "move_to", limit, call).await
     }
 
     pub(super) async fn move_linear(&self, pose: &Isometry3<f64>, pace: Pace) -> Result<(), Problem> {
         let (arm, limit) = (&self.cell.arm, seconds(self.config.timeouts.move_s));
         let call = arm.move_linear(pose, self.limits(pace), limit);
-        within(Who::Arm, &arm.info().name, "move_linear", limit, call).await
+        self.within(Who::Arm, &arm.info().name, "move_linear", limit, call).await
     }
 
     /// Straight up to the height of travel; as far as it goes where that is out of reach.
     pub(super) async fn raise(&self, pace: Pace) -> Result<(), Problem> {
         let (arm, limit) = (&self.cell.arm, seconds(self.config.timeouts.state_s));
-        let state = within(Who::Arm, &arm.info().name, "state", limit, arm.state(limit)).await?;
+        let state = self.within(Who::Arm, &arm.info().name, "state", limit, arm.state(limit)).await?;
         let here = state.world_from_flange;
         let up = raised_to(&here, &self.facts.tool_point, self.places.travel_m);
         if (up.translation.vector.z - here.translation.vector.z) < 1e-3 {
@@ -157,7 +159,7 @@ impl Run<'_> {
 
     pub(super) async fn stop_arm(&self) -> Result<(), Problem> {
         let (arm, limit) = (&self.cell.arm, seconds(self.config.timeouts.clear_s));
-        within(Who::Arm, &arm.info().name, "stop", limit, arm.stop(limit)).await
+        self.within(Who::Arm, &arm.info().name, "stop", limit, arm.stop(limit)).await
     }
 
     /// Clears the fault of a device; those without one have nothing to clear.
@@ -165,8 +167,8 @@ impl Run<'_> {
         let limit = seconds(self.config.timeouts.clear_s);
         let (arm, hand) = (&self.cell.arm, &self.cell.hand);
         match who {
-            Who::Arm => within(who, &arm.info().name, "clear_fault", limit, arm.clear_fault(limit)).await,
-            Who::Hand => within(who, &hand.info().name, "clear_fault", limit, hand.clear_fault(limit)).await,
+            Who::Arm => self.within(who, &arm.info().name, "clear_fault", limit, arm.clear_fault(limit)).await,
+            Who::Hand => self.within(who, &hand.info().name, "clear_fault", limit, hand.clear_fault(limit)).await,
             Who::Camera | Who::Planner => Ok(()),
         }
     }
@@ -183,7 +185,7 @@ impl Run<'_> {
         };
         let command =
             GripCommand { actuators, speed: self.config.hand.speed, force: self.config.hand.force };
-        within(Who::Hand, &info.name, "grip", limit, hand.grip(&command, limit)).await
+        self.within(Who::Hand, &info.name, "grip", limit, hand.grip(&command, limit)).await
     }
 
     /// Opens the hand as the grasp asks, or wide where there is no grasp.
@@ -201,7 +203,7 @@ impl Run<'_> {
     pub(super) async fn feels(&self) -> Result<bool, Problem> {
         let (hand, limit) = (&self.cell.hand, seconds(self.config.timeouts.state_s));
         let info = hand.info();
-        let state = within(Who::Hand, &info.name, "state", limit, hand.state(limit)).await?;
+        let state = self.within(Who::Hand, &info.name, "state", limit, hand.state(limit)).await?;
         if info.feels_contact {
             return Ok(state.feels_object());
         }

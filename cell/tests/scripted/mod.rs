@@ -23,7 +23,7 @@ use nalgebra::{Isometry3, Unit, Vector3};
 /// What goes wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(dead_code)]
-pub enum Fault {
+pub(crate) enum Fault {
     /// A documented time-out.
     Timeout,
     /// Never an answer: the device breaks its word.
@@ -50,32 +50,32 @@ pub enum Fault {
 
 /// The world that all share.
 #[derive(Debug)]
-pub struct World {
-    pub in_tray: u32,
-    pub in_hand: u32,
-    pub delivered: u32,
-    pub lost: u32,
-    pub total: u32,
-    pub flange: Isometry3<f64>,
-    pub arm_stopped: bool,
-    pub exposure: u64,
-    pub step: Step,
+pub(crate) struct World {
+    pub(crate) in_tray: u32,
+    pub(crate) in_hand: u32,
+    pub(crate) delivered: u32,
+    pub(crate) lost: u32,
+    pub(crate) total: u32,
+    pub(crate) flange: Isometry3<f64>,
+    pub(crate) arm_stopped: bool,
+    pub(crate) exposure: u64,
+    pub(crate) step: Step,
     /// Where, which, how many times more.
-    pub faults: Vec<(Step, Fault, u32)>,
+    pub(crate) faults: Vec<(Step, Fault, u32)>,
     /// Calls of each name.
-    pub calls: BTreeMap<&'static str, u32>,
-    pub questions: Vec<Question>,
-    pub closed: bool,
-    pub end_wanted: bool,
-    /// Moves away with fingers of unknown state, other than straight back.
-    pub reach_z_m: f64,
+    pub(crate) calls: BTreeMap<&'static str, u32>,
+    pub(crate) questions: Vec<Question>,
+    pub(crate) closed: bool,
+    pub(crate) end_wanted: bool,
+    /// Highest flange that the arm reaches, metres.
+    pub(crate) reach_z_m: f64,
 }
 
 #[derive(Debug, Clone)]
-pub struct Shared(pub Arc<Mutex<World>>);
+pub(crate) struct Shared(pub(crate) Arc<Mutex<World>>);
 
 impl Shared {
-    pub fn new(objects: u32) -> Self {
+    pub(crate) fn new(objects: u32) -> Self {
         Self(Arc::new(Mutex::new(World {
             in_tray: objects,
             in_hand: 0,
@@ -95,7 +95,7 @@ impl Shared {
         })))
     }
 
-    pub fn world(&self) -> MutexGuard<'_, World> {
+    pub(crate) fn world(&self) -> MutexGuard<'_, World> {
         let world = self.0.lock().unwrap();
         assert_eq!(
             world.in_tray + world.in_hand + world.delivered + world.lost,
@@ -105,12 +105,12 @@ impl Shared {
         world
     }
 
-    pub fn with_fault(self, step: Step, fault: Fault, times: u32) -> Self {
+    pub(crate) fn with_fault(self, step: Step, fault: Fault, times: u32) -> Self {
         self.world().faults.push((step, fault, times));
         self
     }
 
-    pub fn cell(&self) -> Cell {
+    pub(crate) fn cell(&self) -> Cell {
         Cell {
             camera: Arc::new(self.clone()),
             arm: Arc::new(self.clone()),
@@ -326,7 +326,7 @@ impl Hand for Shared {
                 world.in_hand += 1;
             } else if !world.closed && world.in_hand > 0 {
                 let let_go = std::mem::take(&mut world.in_hand);
-                if (at.x - 0.45).abs() < 0.01 {
+                if (at.x - 0.40).abs() < 0.01 {
                     world.delivered += let_go;
                 } else if at.x.abs() < 0.2 {
                     world.in_tray += let_go;
@@ -402,9 +402,9 @@ impl GraspPlanner for Shared {
 
 /// Tells the world which step runs.
 #[derive(Debug)]
-pub struct Watcher {
-    pub shared: Shared,
-    pub log: Vec<String>,
+pub(crate) struct Watcher {
+    pub(crate) shared: Shared,
+    pub(crate) log: Vec<String>,
 }
 
 impl Observer for Watcher {
@@ -424,14 +424,14 @@ impl Observer for Watcher {
 }
 
 /// The configuration of the tests: the defaults, with little patience.
-pub fn config() -> CellConfig {
+pub(crate) fn config() -> CellConfig {
     let mut config = CellConfig::default();
     config.run.time_limit_s = 2000.0;
     config
 }
 
 /// Runs to the end, which must come: a limit that only a hang can reach.
-pub async fn run(shared: &Shared, config: &CellConfig) -> (graspd_cell::report::Report, Vec<String>) {
+pub(crate) async fn run(shared: &Shared, config: &CellConfig) -> (graspd_cell::report::Report, Vec<String>) {
     let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
     let cell = shared.cell();
     let clearing = graspd_cell::clear_tray(&cell, config, &mut watcher);
