@@ -2,6 +2,7 @@
 //! voxel is a contact centroid. The paper's `{P_c, Φ_c, P_e}`; made by an estimator, or loaded.
 
 use crate::grid::Grid;
+use crate::options::Region;
 
 /// A contact field on a grid; every array has one entry per voxel in the grid's memory order.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,6 +41,22 @@ impl ContactField {
     pub fn empty(grid: Grid) -> Self {
         let n = grid.len();
         Self { grid, certainty: vec![0.0; n], inward: vec![[0.0; 3]; n], centroid: vec![0.0; n] }
+    }
+
+    /// Forgets every contact and centroid outside a region, which stands in the volume frame.
+    pub fn keep_only(&mut self, region: &Region) {
+        for i in 0..self.grid.len() {
+            let told = |values: &[f32]| values.get(i).is_some_and(|v| *v != 0.0);
+            if (told(&self.certainty) || told(&self.centroid))
+                && !region.contains(&self.grid.center(self.grid.voxel(i)))
+            {
+                for values in [&mut self.certainty, &mut self.centroid] {
+                    if let Some(value) = values.get_mut(i) {
+                        *value = 0.0;
+                    }
+                }
+            }
+        }
     }
 
     /// Checks the sizes of the arrays. Values are not checked: what is not finite counts as 0 in refinement.

@@ -29,6 +29,24 @@ pub enum WorkspaceRequest {
     },
 }
 
+/// Where things may be grasped: an upright or tilted box in the world. What is outside stays an obstacle, but is no
+/// object: the walls of a tray, the neighbour's bin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Region {
+    /// Takes box coordinates (origin at the centre) to world coordinates.
+    pub world_from_box: Isometry3<f64>,
+    /// Half extents, metres.
+    pub half_extents_m: Vector3<f64>,
+}
+
+impl Region {
+    /// True when the point, given in the frame in which the box stands, is in the box.
+    pub fn contains(&self, point: &Point3<f64>) -> bool {
+        let local = self.world_from_box.inverse_transform_point(point);
+        (0..3).all(|a| local[a].abs() <= self.half_extents_m[a])
+    }
+}
+
 /// How the scene is read, once per frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneOptions {
@@ -38,6 +56,8 @@ pub struct SceneOptions {
     pub grid: Grid,
     /// Where it stands.
     pub workspace: WorkspaceRequest,
+    /// Where things may be grasped; `None`: anywhere in the volume.
+    pub region: Option<Region>,
     /// `T_fc`: focal contacts exceed this share of the largest certainty (Supplementary Note 3: 0.7).
     pub focal_contact_threshold: f64,
     /// `T_fe`: focal centroids exceed this share of the largest centroid score (Supplementary Note 3: 0.95).
@@ -50,6 +70,7 @@ impl Default for SceneOptions {
             volume: VolumeKind::default(),
             grid: Grid::default(),
             workspace: WorkspaceRequest::Auto,
+            region: None,
             focal_contact_threshold: 0.7,
             focal_centroid_threshold: 0.95,
         }

@@ -9,7 +9,7 @@ use crate::contact_field::{ContactField, ContactFieldError};
 use crate::estimator::ContactEstimator;
 use crate::frame::{CleanOptions, Frame, FrameError, MAX_TRANSLATION_M, clean_depth};
 use crate::grid::{Grid, GridError};
-use crate::options::{SceneOptions, WorkspaceRequest};
+use crate::options::{Region, SceneOptions, WorkspaceRequest};
 use crate::refine::{Features, refine};
 use crate::volume::{Volume, VoxelState};
 use crate::workspace::{Workspace, frame_points};
@@ -99,6 +99,16 @@ pub enum SceneError {
     /// A contact field's arrays do not fit its grid.
     #[error("{0}")]
     ContactField(#[from] ContactFieldError),
+    /// The region is not a box.
+    #[error("region.{field}: found {found}, expected {expected}")]
+    Region {
+        /// `world_from_box` or `half_extents_m`.
+        field: &'static str,
+        /// Found value.
+        found: String,
+        /// What is expected.
+        expected: &'static str,
+    },
     /// The solid voxels do not fit the contact field's grid.
     #[error("solid: found {found} entries, expected one per voxel = {expected}")]
     SolidSize {
@@ -145,6 +155,7 @@ pub fn prepare(
 
     let mut volume = Volume::empty(workspace.grid, workspace.table_m);
     volume.kind = options.volume;
+    volume.region = region_in_volume(options, &workspace);
     for (frame, depth) in frames.iter().zip(&depths) {
         let world_from_camera = frame.world_from_camera.unwrap_or_else(Isometry3::identity);
         volume.integrate(frame, depth, &(world_from_camera.inverse() * workspace.world_from_volume));
@@ -154,8 +165,11 @@ pub fn prepare(
     let observation = observe(&volume, &objects);
     stages.end("volume")?;
 
-    let contact_field = estimator.estimate(&volume, budget).map_err(SceneError::Stopped)?;
+    let mut contact_field = estimator.estimate(&volume, budget).map_err(SceneError::Stopped)?;
     contact_field.validate()?;
+    if let Some(region) = &volume.region {
+        contact_field.keep_only(region);
+    }
     stages.end("estimate")?;
 
     let features = refine(&contact_field, &solid, volume.table_m, volume.voxel_labels(), options);
@@ -185,7 +199,7 @@ pub fn prepare(
 /// # Errors
 /// [`SceneError`] for arrays that do not fit the grid, for options out of range and when the budget ended.
 pub fn from_contact_field(
-    field: ContactField,
+    mut field: ContactField,
     solid: &[bool],
     options: &SceneOptions,
     budget: &dyn Budget,
@@ -203,7 +217,11 @@ pub fn from_contact_field(
         _ => solid_floor(&grid, solid),
     };
     let workspace = Workspace { world_from_volume: Isometry3::identity(), grid, table_m };
-    let volume = Volume::from_solid(grid, table_m, solid);
+    let mut volume = Volume::from_solid(grid, table_m, solid);
+    volume.region = region_in_volume(options, &workspace);
+    if let Some(region) = &volume.region {
+        field.keep_only(region);
+    }
     let objects = volume.object_groups(solid);
     let observation = observe(&volume, &objects);
     stages.end("volume")?;
@@ -222,6 +240,13 @@ pub fn from_contact_field(
         observation,
         objects,
         stages: stages.done,
+    })
+}
+
+fn region_in_volume(options: &SceneOptions, workspace: &Workspace) -> Option<Region> {
+    options.region.map(|region| Region {
+        world_from_box: workspace.world_from_volume.inverse() * region.world_from_box,
+        ..region
     })
 }
 
@@ -256,16 +281,24 @@ fn validate(options: &SceneOptions) -> Result<(), SceneError> {
             return Err(SceneError::Threshold { field, found });
         }
     }
+    if let Some(Region { world_from_box, half_extents_m: half }) = &options.region {
+        if let Some(found) = wrong_pose(world_from_box) {
+            return Err(SceneError::Region { field: "world_from_box", found, expected: A_POSE });
+        }
+        if !half.iter().all(|h| h.is_finite() && *h > 0.0) {
+            let found = format!("({}, {}, {})", half.x, half.y, half.z);
+            return Err(SceneError::Region {
+                field: "half_extents_m",
+                found,
+                expected: "three lengths above 0 m",
+            });
+        }
+    }
     if let WorkspaceRequest::Placed { world_from_volume, table_m } = options.workspace {
         let size = options.grid.size_m;
-        let t = world_from_volume.translation.vector;
-        let norm = world_from_volume.rotation.as_ref().norm();
-        if !t.iter().all(|v| v.abs() <= MAX_TRANSLATION_M) || norm.is_nan() || (norm - 1.0).abs() > 1e-3 {
-            return Err(SceneError::Workspace {
-                field: "world_from_volume",
-                found: format!("translation ({}, {}, {}), quaternion of length {norm}", t.x, t.y, t.z),
-                expected: "a translation within 1e6 m and a unit quaternion".into(),
-            });
+        if let Some(found) = wrong_pose(&world_from_volume) {
+            let expected = A_POSE.into();
+            return Err(SceneError::Workspace { field: "world_from_volume", found, expected });
         }
         if let Some(table) = table_m
             && !(0.0..size).contains(&table)
@@ -278,6 +311,16 @@ fn validate(options: &SceneOptions) -> Result<(), SceneError> {
         }
     }
     Ok(())
+}
+
+const A_POSE: &str = "a translation within 1e6 m and a unit quaternion";
+
+/// What is wrong with a pose, for an error text.
+fn wrong_pose(pose: &Isometry3<f64>) -> Option<String> {
+    let t = pose.translation.vector;
+    let norm = pose.rotation.as_ref().norm();
+    (!t.iter().all(|v| v.abs() <= MAX_TRANSLATION_M) || norm.is_nan() || (norm - 1.0).abs() > 1e-3)
+        .then(|| format!("translation ({}, {}, {}), quaternion of length {norm}", t.x, t.y, t.z))
 }
 
 fn observe(volume: &Volume, objects: &[u16]) -> Observation {

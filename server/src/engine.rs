@@ -344,6 +344,10 @@ fn scene_fault(error: &SceneError, scene: &SceneRequest) -> FieldError {
         SceneError::Workspace { found, expected, .. } => {
             value("scene_options.workspace.pose", found, expected)
         }
+        SceneError::Region { field, found, expected } => {
+            let field = if *field == "world_from_box" { "pose" } else { field };
+            value(&format!("scene_options.grasp_region.{field}"), found, expected)
+        }
         SceneError::Threshold { field, found } => {
             value(&format!("scene_options.{field}"), found, "a share from 0 to 1")
         }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::Args;
 use graspd_planner::grid::Grid;
 use graspd_planner::options::{
-    KeepOut, OrientationLimits, PlanOptions, Reaching, SceneOptions, Scheme, Target, VolumeKind,
+    KeepOut, OrientationLimits, PlanOptions, Reaching, Region, SceneOptions, Scheme, Target, VolumeKind,
     WorkspaceRequest,
 };
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
@@ -36,6 +36,9 @@ pub(crate) struct SceneArgs {
     /// Height of the table top in the cube, metres; only with --workspace
     #[arg(long, value_name = "METRES", requires = "workspace")]
     table_height: Option<f64>,
+    /// Grasp only inside this box: centre, half extents and yaw in degrees; what is outside stays an obstacle
+    #[arg(long, value_name = "X,Y,Z,HX,HY,HZ[,YAW]", allow_hyphen_values = true)]
+    region: Option<Numbers<6, 7>>,
     /// Contact estimator by name
     #[arg(long, value_name = "NAME", conflicts_with = "contact_field")]
     estimator: Option<String>,
@@ -59,6 +62,10 @@ impl SceneArgs {
             volume: self.volume,
             grid: Grid { resolution: self.volume_resolution as usize, size_m: self.volume_size },
             workspace,
+            region: self.region.as_ref().map(|numbers| {
+                let (world_from_box, half_extents_m) = numbers.solid_box();
+                Region { world_from_box, half_extents_m }
+            }),
             focal_contact_threshold: self.t_fc,
             focal_centroid_threshold: self.t_fe,
         }
@@ -189,14 +196,12 @@ impl SearchArgs {
 }
 
 fn keep_out(numbers: &Numbers<6, 7>) -> anyhow::Result<KeepOut> {
-    let v = &numbers.0;
-    let half_extents_m = Vector3::new(v[3], v[4], v[5]);
+    let (world_from_box, half_extents_m) = numbers.solid_box();
     anyhow::ensure!(
         half_extents_m.min() > 0.0,
         "--keep-out: found half extents {half_extents_m:?}, expected each above 0"
     );
-    let yaw = v.get(6).copied().unwrap_or(0.0);
-    Ok(KeepOut { world_from_box: yawed([v[0], v[1], v[2]], yaw), half_extents_m })
+    Ok(KeepOut { world_from_box, half_extents_m })
 }
 
 fn yawed([x, y, z]: [f64; 3], yaw_deg: f64) -> Isometry3<f64> {
@@ -228,6 +233,14 @@ impl<const LEAST: usize, const MOST: usize> FromStr for Numbers<LEAST, MOST> {
 impl Numbers<3, 4> {
     fn pose(&self) -> Isometry3<f64> {
         yawed([self.0[0], self.0[1], self.0[2]], self.0.get(3).copied().unwrap_or(0.0))
+    }
+}
+
+impl Numbers<6, 7> {
+    /// Pose and half extents of a box: centre, half extents and yaw in degrees.
+    fn solid_box(&self) -> (Isometry3<f64>, Vector3<f64>) {
+        let [x, y, z, hx, hy, hz] = std::array::from_fn(|i| self.0.get(i).copied().unwrap_or(0.0));
+        (yawed([x, y, z], self.0.get(6).copied().unwrap_or(0.0)), Vector3::new(hx, hy, hz))
     }
 }
 

@@ -61,6 +61,10 @@ pub(crate) fn scene_options(options: &SceneOptions, estimator: Option<&str>) -> 
         focal_centroid_threshold: Some(options.focal_centroid_threshold),
         volume_size_m: Some(options.grid.size_m),
         volume_resolution: i32::try_from(options.grid.resolution).unwrap_or(i32::MAX),
+        grasp_region: options.region.map(|region| v1::GraspRegion {
+            pose: Some(pose_message(&region.world_from_box)),
+            half_extents_m: Some(vector_message(&region.half_extents_m)),
+        }),
     }
 }
 

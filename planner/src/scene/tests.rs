@@ -171,6 +171,38 @@ fn placed_workspaces_find_their_table() {
 }
 
 #[test]
+fn outside_the_region_nothing_is_an_object_but_everything_is_solid() {
+    let frame = cast(tilted(), &blocks(), true);
+    let all = run(std::slice::from_ref(&frame));
+    let world = |scene: &Scene, p: &Point3<f64>| scene.workspace.world_from_volume * p;
+    // The half of the table with the second block.
+    let half_extents_m = Vector3::new(0.1, 0.2, 0.2);
+    let region = Region { world_from_box: Isometry3::translation(0.1, 0.0, 0.0), half_extents_m };
+    let options = SceneOptions { region: Some(region), ..SceneOptions::default() };
+    let some = prepare(std::slice::from_ref(&frame), &options, &Geometric, &Unlimited).unwrap();
+    let east = |scene: &Scene| {
+        scene.features.centroids.iter().map(|c| world(scene, &c.position).x > 0.0).collect::<Vec<_>>()
+    };
+    assert!(east(&all).contains(&false) && east(&all).contains(&true));
+    assert!(!east(&some).is_empty() && !east(&some).contains(&false));
+    for &i in &some.features.focal_contacts {
+        let voxel = some.features.grid.voxel(i as usize);
+        assert!(region.contains(&world(&some, &some.features.grid.center(voxel))));
+    }
+    assert_eq!(some.features.scene_distance_m, all.features.scene_distance_m);
+    let nowhere = Region { world_from_box: Isometry3::translation(5.0, 0.0, 0.0), ..region };
+    let options = SceneOptions { region: Some(nowhere), ..options };
+    let none = prepare(std::slice::from_ref(&frame), &options, &Geometric, &Unlimited).unwrap();
+    assert_eq!(none.observation, Observation::EmptyTable);
+    for bad in [Vector3::new(0.1, 0.0, 0.1), Vector3::new(0.1, f64::NAN, 0.1)] {
+        let region = Some(Region { half_extents_m: bad, ..region });
+        let options = SceneOptions { region, ..SceneOptions::default() };
+        let error = prepare(std::slice::from_ref(&frame), &options, &Geometric, &Unlimited).unwrap_err();
+        assert!(matches!(error, SceneError::Region { field: "half_extents_m", .. }), "{error}");
+    }
+}
+
+#[test]
 fn encodings_are_the_papers() {
     let scene = run(&[cast(tilted(), &blocks(), true)]);
     let volume = &scene.volume;

@@ -11,7 +11,7 @@ mod solid;
 pub use solid::MIN_OBJECT_VOXELS;
 
 use crate::grid::Grid;
-use crate::options::VolumeKind;
+use crate::options::{Region, VolumeKind};
 
 /// Truncation of the signed distance, voxels (the reference implementation's dataset uses 8).
 pub const TRUNCATION_VOXELS: f64 = 8.0;
@@ -50,6 +50,8 @@ pub struct Volume {
     pub tsdf: Vec<f32>,
     /// Number of frames that told something about each voxel.
     pub weight: Vec<u16>,
+    /// Where things may be grasped, volume frame: what stands outside is no object. `None`: everywhere.
+    pub region: Option<Region>,
     /// Object label of each surface voxel (0 none) by majority over the frames; `None` while no frame had labels.
     pub labels: Option<Labels>,
 }
@@ -74,6 +76,7 @@ impl Volume {
             table_m,
             tsdf: vec![0.0; n],
             weight: vec![0; n],
+            region: None,
             labels: None,
         }
     }

@@ -84,8 +84,8 @@ impl Volume {
         self.object_groups(solid).iter().map(|&g| g > 0).collect()
     }
 
-    /// What `solid` has of objects: at least one voxel above the table top, in connected groups (over faces) of
-    /// at least [`MIN_OBJECT_VOXELS`]. Without a table: all such groups. The number of its group for each voxel,
+    /// What `solid` has of objects: inside the region, at least one voxel above the table top, in connected groups
+    /// (over faces) of at least [`MIN_OBJECT_VOXELS`]. Without a table: all such groups. The number of its group for each voxel,
     /// counted from 1; 0 for voxels of no object. Objects that touch share a group.
     pub fn object_groups(&self, solid: &[bool]) -> Vec<u16> {
         let n = self.grid.resolution;
@@ -93,6 +93,11 @@ impl Volume {
         let mut open = solid.to_vec();
         for column in open.chunks_mut(n.max(1)) {
             column[..first].fill(false);
+        }
+        if let Some(region) = &self.region {
+            for (i, open) in open.iter_mut().enumerate().filter(|(_, open)| **open) {
+                *open = region.contains(&self.grid.center(self.grid.voxel(i)));
+            }
         }
         let mut groups = vec![0u16; open.len()];
         let mut last = 0u16;

@@ -4,10 +4,11 @@ use std::time::Duration;
 
 use graspd_planner::grid::Grid;
 use graspd_planner::options::{
-    KeepOut, OrientationLimits, PlanOptions, Reaching, SceneOptions, Scheme, Target, VolumeKind,
+    KeepOut, OrientationLimits, PlanOptions, Reaching, Region, SceneOptions, Scheme, Target, VolumeKind,
     WorkspaceRequest,
 };
 use graspd_proto::v1;
+use nalgebra::{Isometry3, Vector3};
 
 use super::geometry::{direction, point, pose, vector};
 use super::{count, join, known_enum, number_within, positive_up_to};
@@ -63,6 +64,14 @@ pub(super) fn scene_options(
         volume,
         grid,
         workspace,
+        region: (wire.grasp_region)
+            .map(|region| {
+                let path = join(path, "grasp_region");
+                let (world_from_box, half_extents_m) =
+                    solid_box(region.pose.as_ref(), region.half_extents_m, &path)?;
+                Ok::<_, FieldError>(Region { world_from_box, half_extents_m })
+            })
+            .transpose()?,
         focal_contact_threshold: threshold(
             wire.focal_contact_threshold,
             defaults.focal_contact_threshold,
@@ -213,15 +222,25 @@ fn orientation(
 }
 
 fn keep_out(wire: &v1::KeepOutBox, path: &str) -> Result<KeepOut, FieldError> {
-    let world_from_box = pose(wire.pose.as_ref(), &join(path, "pose"))?;
+    let (world_from_box, half_extents_m) = solid_box(wire.pose.as_ref(), wire.half_extents_m, path)?;
+    Ok(KeepOut { world_from_box, half_extents_m })
+}
+
+/// A box by its pose and half extents.
+fn solid_box(
+    wire_pose: Option<&v1::Pose>,
+    wire_half: Option<v1::Vector3>,
+    path: &str,
+) -> Result<(Isometry3<f64>, Vector3<f64>), FieldError> {
+    let world_from_box = pose(wire_pose, &join(path, "pose"))?;
     let path = join(path, "half_extents_m");
-    let half_extents_m = vector(wire.half_extents_m, &path)?;
+    let half_extents_m = vector(wire_half, &path)?;
     for (name, value) in ["x", "y", "z"].into_iter().zip(half_extents_m.iter()) {
         if *value <= 0.0 {
             return Err(FieldError::value(join(&path, name), value, "more than 0"));
         }
     }
-    Ok(KeepOut { world_from_box, half_extents_m })
+    Ok((world_from_box, half_extents_m))
 }
 
 fn target(wire: v1::plan_options::Target, path: &str) -> Result<Target, FieldError> {

@@ -156,6 +156,10 @@ fn what_the_planner_refuses_names_its_own_field() {
         (workspace("table_m"), "plan.scene_options.workspace.table_height_m"),
         (workspace("world_from_volume"), "plan.scene_options.workspace.pose"),
         (
+            SceneError::Region { field: "world_from_box", found: "1".to_owned(), expected: "less" },
+            "plan.scene_options.grasp_region.pose",
+        ),
+        (
             SceneError::Threshold { field: "focal_contact_threshold", found: 2.0 },
             "plan.scene_options.focal_contact_threshold",
         ),

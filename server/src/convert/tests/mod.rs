@@ -111,14 +111,23 @@ fn everything_that_is_asked_for_arrives() {
     placed.scene_options = Some(v1::SceneOptions {
         estimator: "net".to_owned(),
         workspace: Some(v1::WorkspacePlacement { pose: pose(-1.0), table_height_m: Some(0.05) }),
+        grasp_region: Some(v1::GraspRegion {
+            pose: pose(1.0),
+            half_extents_m: Some(v1::Vector3 { x: 0.17, y: 0.16, z: 0.2 }),
+        }),
         ..Default::default()
     });
+    let mut flat = placed.clone();
+    let region = flat.scene_options.as_mut().unwrap().grasp_region.as_mut().unwrap();
+    region.half_extents_m = Some(v1::Vector3 { x: 0.17, y: 0.0, z: 0.2 });
+    assert_eq!(plan_grasps(flat, "").unwrap_err().field, "scene_options.grasp_region.half_extents_m.y");
     let (scene, _) = plan_grasps(placed, "").unwrap();
     assert_eq!((scene.world_frame_id(), scene.camera_frame_id()), ("base", "camera"));
     assert_eq!(scene.estimator.as_deref(), Some("net"));
     assert!(
         matches!(scene.options.workspace, WorkspaceRequest::Placed { table_m: Some(t), .. } if t == 0.05)
     );
+    assert_eq!(scene.options.region.unwrap().half_extents_m.y, 0.16);
     let rotation = scene.frames[0].world_from_camera.unwrap().rotation;
     assert!((rotation.norm() - 1.0).abs() < 1e-12, "normalized");
 }
