@@ -5,7 +5,7 @@ use nalgebra::{Translation3, Vector3};
 use crate::error::Findings;
 use crate::files::URDF;
 use crate::urdf::{MAX_LENGTH_M, pose};
-use crate::{CollisionShape, HandFiles, Shape, Tree, mesh};
+use crate::{CollisionShape, HandFiles, Shape, Tree, mesh_files};
 
 /// Most shapes of one link.
 const MAX_SHAPES: usize = 64;
@@ -46,7 +46,7 @@ pub(crate) fn read(
                 &mut budget,
                 &mut aside,
             ));
-            let fatal = matches!(&visual.geometry, urdf_rs::Geometry::Mesh { filename, .. } if mesh::path(filename).is_err());
+            let fatal = matches!(&visual.geometry, urdf_rs::Geometry::Mesh { filename, .. } if mesh_files::path(filename).is_err());
             for problem in aside.errors {
                 if fatal { findings.errors.push(problem) } else { findings.warnings.push(problem) }
             }
@@ -116,7 +116,7 @@ fn shape(
         Geometry::Sphere { radius } => vec![at(0.0, Shape::Sphere { radius: size("radius", *radius) })],
         Geometry::Mesh { filename, scale } => {
             let scale = scale.map_or([1.0; 3], |s| s.0);
-            match mesh::load(files, filename, scale, budget) {
+            match mesh_files::load(files, filename, scale, budget) {
                 Ok(shape) => vec![at(0.0, shape)],
                 Err((file, found, expected)) => {
                     findings.error(

@@ -21,7 +21,7 @@ mod description;
 mod geometry;
 mod joint_limits;
 mod load;
-mod mesh;
+mod mesh_files;
 mod pads;
 mod urdf;
 mod xml_guard;
@@ -39,6 +39,7 @@ mod check;
 mod init;
 
 pub mod library;
+pub mod mesh;
 
 pub use actuation::{Actuation, Coordinate, CoordinateKind, JointRow, SoftCoupling};
 pub use check::{Report, check};

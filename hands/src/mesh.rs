@@ -4,99 +4,23 @@ use std::collections::HashMap;
 
 use nalgebra::Point3;
 
-use crate::urdf::MAX_LENGTH_M;
-use crate::{HandFiles, Shape};
-
-/// Largest mesh file, bytes.
-const MAX_BYTES: usize = 32 * 1024 * 1024;
-
-/// Where (a file; `None`: the URDF that names it), what was found, what was expected.
-pub(crate) type MeshProblem = (Option<String>, String, String);
-
-/// The path inside the hand's folder that a URDF's mesh name stands for.
-///
-/// A relative name is taken as it is; `package://NAME/rest` is `rest` (a hand's folder is its own
-/// package). Names that leave the folder are errors.
-pub(crate) fn path(name: &str) -> Result<String, MeshProblem> {
-    let refuse = |expected: &str| Err((None, format!("{name:?}"), expected.to_owned()));
-    let relative = match name.strip_prefix("package://") {
-        Some(rest) => match rest.split_once('/') {
-            Some((package, path)) if !package.is_empty() => path,
-            _ => return refuse("package://NAME/path"),
-        },
-        None if name.contains("://") => return refuse("a path relative to the hand's folder"),
-        None => name,
-    };
-    if relative.contains('\\') || relative.contains('\0') || relative.contains(':') {
-        return refuse("a path with / between its parts");
-    }
-    if relative.starts_with('/') {
-        return refuse("a path relative to the hand's folder");
-    }
-    let mut parts = Vec::new();
-    for part in relative.split('/') {
-        match part {
-            "" | "." => {}
-            ".." => return refuse("a path that stays in the hand's folder"),
-            part => parts.push(part),
-        }
-    }
-    if parts.is_empty() {
-        return refuse("the name of a file");
-    }
-    Ok(parts.join("/"))
+/// Why bytes are no triangle mesh.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("found {found}, expected a triangle mesh")]
+pub struct MeshError {
+    /// What was found, with its line where there are lines.
+    pub found: String,
 }
 
-/// Finds, parses and scales a mesh. `budget` is the number of triangles still allowed in the hand.
-pub(crate) fn load(
-    files: &HandFiles,
-    name: &str,
-    scale: [f64; 3],
-    budget: &mut usize,
-) -> Result<Shape, MeshProblem> {
-    let path = path(name)?;
-    let problem = |found: String, expected: &str| (Some(path.clone()), found, expected.to_owned());
-    if !scale.iter().all(|s| s.is_finite() && s.abs() > 1e-9 && s.abs() <= 1e4) {
-        return Err((None, format!("scale {scale:?}"), "three finite factors other than zero".into()));
+impl From<String> for MeshError {
+    fn from(found: String) -> Self {
+        Self { found }
     }
-    let extension = path.rsplit_once('.').map(|(_, e)| e.to_ascii_lowercase()).unwrap_or_default();
-    if !matches!(extension.as_str(), "stl" | "obj") {
-        return Err(problem(format!("a .{extension} file"), "STL or OBJ: convert the mesh to STL or OBJ"));
-    }
-    let Some(bytes) = files.files.get(&path) else {
-        return Err(problem("no such file".into(), "the mesh that the URDF names"));
-    };
-    if bytes.len() > MAX_BYTES {
-        return Err(problem(format!("{} bytes", bytes.len()), "at most 32 MiB"));
-    }
-    let (mut vertices, mut triangles) = match extension.as_str() {
-        "stl" => stl(bytes, *budget),
-        _ => obj(bytes, *budget),
-    }
-    .map_err(|found| problem(found, "a triangle mesh, hands up to 400,000 triangles in all"))?;
-    for vertex in &mut vertices {
-        for (value, factor) in vertex.coords.iter_mut().zip(scale) {
-            *value *= factor;
-        }
-    }
-    if scale.iter().product::<f64>() < 0.0 {
-        // A mirrored mesh turns its triangles inside out.
-        triangles.iter_mut().for_each(|t| t.swap(1, 2));
-    }
-    if let Some(v) = vertices.iter().find(|v| !v.iter().all(|c| c.is_finite() && c.abs() <= MAX_LENGTH_M)) {
-        return Err(problem(
-            format!("a vertex at {:?}", v.coords.as_slice()),
-            "metres within ±2 (a mesh in millimetres needs scale=\"0.001 0.001 0.001\")",
-        ));
-    }
-    if triangles.is_empty() {
-        return Err(problem("no triangles".into(), "a triangle mesh"));
-    }
-    *budget -= triangles.len();
-    Ok(Shape::Mesh { vertices, triangles })
 }
 
-type Parsed = Result<(Vec<Point3<f64>>, Vec<[u32; 3]>), String>;
+/// Vertices, and triangles as indices into them, in the file's units. Coordinates may be anything that an
+/// `f32` or `f64` can be, infinite and NaN too; indices are within the vertices.
+pub type Parsed = Result<(Vec<Point3<f64>>, Vec<[u32; 3]>), MeshError>;
 
 /// Joins equal corners: STL repeats every vertex for each triangle.
 #[derive(Default)]
@@ -120,13 +44,17 @@ fn too_many(budget: usize) -> String {
     format!("more than {budget} triangles")
 }
 
-fn stl(bytes: &[u8], budget: usize) -> Parsed {
+/// Reads STL, binary or ASCII. Equal corners become one vertex; triangles without three corners are dropped.
+///
+/// # Errors
+/// [`MeshError`] for bytes that are neither, and for more than `budget` triangles.
+pub fn parse_stl(bytes: &[u8], budget: usize) -> Parsed {
     // Binary files may begin with "solid" too: the length decides.
     if let Some(count) = bytes.get(80..84).and_then(|c| c.try_into().ok()).map(u32::from_le_bytes) {
         let count = count as usize;
         if count.checked_mul(50).and_then(|n| n.checked_add(84)) == Some(bytes.len()) {
             if count > budget {
-                return Err(too_many(budget));
+                return Err(too_many(budget).into());
             }
             return Ok(stl_binary(&bytes[84..]));
         }
@@ -134,7 +62,7 @@ fn stl(bytes: &[u8], budget: usize) -> Parsed {
     if bytes.trim_ascii_start().starts_with(b"solid") {
         return stl_ascii(&String::from_utf8_lossy(bytes), budget);
     }
-    Err("neither a binary STL of the length it declares nor an ASCII STL".into())
+    Err("neither a binary STL of the length it declares nor an ASCII STL".to_owned().into())
 }
 
 fn stl_binary(records: &[u8]) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
@@ -167,19 +95,23 @@ fn stl_ascii(text: &str, budget: usize) -> Parsed {
             corners.push(welder.add(corner));
         } else if word == "endfacet" {
             let &[a, b, c] = corners.as_slice() else {
-                return Err(format!("a facet of {} vertices", corners.len()));
+                return Err(format!("a facet of {} vertices", corners.len()).into());
             };
             push(&mut triangles, [a, b, c]);
             corners.clear();
             if triangles.len() > budget {
-                return Err(too_many(budget));
+                return Err(too_many(budget).into());
             }
         }
     }
     Ok((welder.vertices, triangles))
 }
 
-fn obj(bytes: &[u8], budget: usize) -> Parsed {
+/// Reads the vertices and faces of an OBJ; polygons become fans. Everything else is passed over.
+///
+/// # Errors
+/// [`MeshError`] for numbers that are none, indices of no vertex, and more than `budget` triangles.
+pub fn parse_obj(bytes: &[u8], budget: usize) -> Parsed {
     let text = String::from_utf8_lossy(bytes);
     let mut vertices: Vec<Point3<f64>> = Vec::new();
     let mut triangles = Vec::new();
@@ -194,7 +126,7 @@ fn obj(bytes: &[u8], budget: usize) -> Parsed {
                 }
                 vertices.push(Point3::from(corner));
                 if vertices.len() > 3 * budget.max(1) {
-                    return Err(format!("more than {} vertices", 3 * budget.max(1)));
+                    return Err(format!("more than {} vertices", 3 * budget.max(1)).into());
                 }
             }
             Some("f") => {
@@ -210,7 +142,7 @@ fn obj(bytes: &[u8], budget: usize) -> Parsed {
                 for pair in face.windows(2).skip(1) {
                     push(&mut triangles, [face[0], pair[0], pair[1]]);
                     if triangles.len() > budget {
-                        return Err(too_many(budget));
+                        return Err(too_many(budget).into());
                     }
                 }
             }
@@ -231,5 +163,70 @@ fn obj_index(word: &str, count: usize) -> Option<u32> {
 fn push(triangles: &mut Vec<[u32; 3]>, t: [u32; 3]) {
     if t[0] != t[1] && t[1] != t[2] && t[2] != t[0] {
         triangles.push(t);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const TETRAHEDRON: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1/1 2/2 -1\nf 1 4 3\nf 2 3 4\n";
+
+    /// The same solid as STL, binary.
+    fn binary() -> Vec<u8> {
+        let (vertices, triangles) = parse_obj(TETRAHEDRON.as_bytes(), 10).unwrap();
+        let mut bytes = b"solid that is binary".to_vec();
+        bytes.resize(80, 0);
+        bytes.extend((triangles.len() as u32).to_le_bytes());
+        for triangle in triangles {
+            bytes.extend([0; 12]);
+            for corner in triangle {
+                for c in &vertices[corner as usize].coords {
+                    bytes.extend((*c as f32).to_le_bytes());
+                }
+            }
+            bytes.extend([0; 2]);
+        }
+        bytes
+    }
+
+    #[test]
+    fn obj_and_stl_give_the_same_solid() {
+        let (vertices, triangles) = parse_obj(TETRAHEDRON.as_bytes(), 4).unwrap();
+        assert_eq!((vertices.len(), triangles.len()), (4, 4));
+        let (welded, again) = parse_stl(&binary(), 4).unwrap();
+        assert_eq!((welded.len(), again.len()), (4, 4));
+        let corners = |v: &[Point3<f64>], t: &[[u32; 3]]| -> Vec<Point3<f64>> {
+            t.iter().flatten().map(|&i| v[i as usize]).collect()
+        };
+        assert_eq!(corners(&vertices, &triangles), corners(&welded, &again));
+        assert!(parse_stl(&binary(), 3).unwrap_err().to_string().contains("more than 3 triangles"));
+        assert!(parse_obj(TETRAHEDRON.as_bytes(), 3).is_err());
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let found = parse_obj(b"v 0 0 0\nf 1 2 3\n", 9).unwrap_err().found;
+        assert!(found.contains("line 2") && found.contains("\"2\""), "{found}");
+        assert!(parse_stl(b"solid x\nfacet\nvertex 0 0 z\n", 9).unwrap_err().found.contains("\"z\""));
+        assert!(parse_stl(b"", 9).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_make_it_panic(at in 0..400_usize, byte: u8, cut in 0..400_usize) {
+            for mut bytes in [binary(), TETRAHEDRON.as_bytes().to_vec()] {
+                let (n, m) = (bytes.len(), at % bytes.len());
+                bytes[m] = byte;
+                bytes.truncate(if cut < n { cut } else { n });
+                for parsed in [parse_stl(&bytes, 100), parse_obj(&bytes, 100)] {
+                    if let Ok((vertices, triangles)) = parsed {
+                        prop_assert!(triangles.iter().flatten().all(|&i| (i as usize) < vertices.len()));
+                    }
+                }
+            }
+        }
     }
 }

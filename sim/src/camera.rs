@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 /// A pinhole lens: what projects a point in the optical frame (x right, y down, z forward) to a pixel.
 /// The centre of the first pixel is (0, 0).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Pinhole {
     /// Width, pixels.
     pub width: usize,

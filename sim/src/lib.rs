@@ -25,3 +25,4 @@ pub mod sensor;
 pub mod scene;
 
 mod convert;
+mod hull;

@@ -1,6 +1,9 @@
 //! Triangle meshes: what objects look like to a camera.
 
+use graspd_hands::mesh::{MeshError, parse_obj, parse_stl};
 use nalgebra::{Isometry3, Point3, Vector3};
+
+use crate::object::MOST_TRIANGLES;
 
 /// A triangle mesh in its own frame, metres.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -12,6 +15,23 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// A mesh from the bytes of an STL file, binary or ASCII, in the file's units. It may be open or not
+    /// finite: [`Object::from_mesh`](crate::object::Object::from_mesh) finds out.
+    ///
+    /// # Errors
+    /// [`MeshError`] for bytes that are no STL, and for more than 200,000 triangles.
+    pub fn from_stl(bytes: &[u8]) -> Result<Self, MeshError> {
+        parse_stl(bytes, MOST_TRIANGLES).map(|(vertices, triangles)| Self { vertices, triangles })
+    }
+
+    /// A mesh from the bytes of an OBJ file, in the file's units; see [`Mesh::from_stl`].
+    ///
+    /// # Errors
+    /// [`MeshError`] for bytes that are no OBJ, and for more than 200,000 triangles.
+    pub fn from_obj(bytes: &[u8]) -> Result<Self, MeshError> {
+        parse_obj(bytes, MOST_TRIANGLES).map(|(vertices, triangles)| Self { vertices, triangles })
+    }
+
     /// Adds another mesh, moved.
     pub fn append(&mut self, other: &Self, self_from_other: &Isometry3<f64>) {
         let base = self.vertices.len() as u32;
@@ -72,6 +92,17 @@ impl Mesh {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_becomes_an_object() {
+        let text = "v 0 0 0\nv 40 0 0\nv 0 40 0\nv 0 0 40\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+        let mesh = Mesh::from_obj(text.as_bytes()).unwrap();
+        assert!((mesh.volume() - 64_000.0 / 6.0).abs() < 1e-9);
+        let options = crate::object::MeshOptions { scale: 0.001, ..Default::default() };
+        let object = crate::object::Object::from_mesh("corner", mesh, &options).unwrap();
+        assert!((object.mass_kg - 500.0 * 64e-6 / 6.0).abs() < 1e-12);
+        assert!(Mesh::from_stl(text.as_bytes()).is_err());
+    }
 
     #[test]
     fn a_box_encloses_its_volume() {

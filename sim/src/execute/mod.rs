@@ -1,9 +1,14 @@
 //! Executing one grasp, as the paper's Task 1 does: approach, close, lift, hold, shake (Supplementary Note 7).
 
+mod closing;
+mod run;
+
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-use crate::world::{HandId, ObjectId, World};
+use crate::world::ObjectId;
+
+pub use run::execute;
 
 /// What is to be executed: the answer of a planner, without its opinion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -55,11 +60,33 @@ pub struct ExecuteSettings {
     pub hold_s: f64,
     /// Amplitude of the shake, metres; 0: no shake.
     pub shake_m: f64,
+    /// Frequency of the shake, hertz.
+    pub shake_hz: f64,
+    /// Cycles of the shake along each of x, y and z.
+    pub shake_cycles: f64,
+    /// Force on table, tray or an object at which the arm stops its approach, newtons (a guarded move).
+    pub stop_force_n: f64,
+    /// How far the meant object may be pushed during the approach before that is a collision, metres.
+    pub push_m: f64,
+    /// Longest time for closing, seconds.
+    pub close_s: f64,
 }
 
 impl Default for ExecuteSettings {
     fn default() -> Self {
-        Self { grip_force: 0.5, approach_m_s: 0.1, lift_m: 0.15, lift_m_s: 0.15, hold_s: 0.5, shake_m: 0.02 }
+        Self {
+            grip_force: 0.5,
+            approach_m_s: 0.1,
+            lift_m: 0.15,
+            lift_m_s: 0.15,
+            hold_s: 0.5,
+            shake_m: 0.02,
+            shake_hz: 3.0,
+            shake_cycles: 2.0,
+            stop_force_n: 40.0,
+            push_m: 0.01,
+            close_s: 3.0,
+        }
     }
 }
 
@@ -89,16 +116,4 @@ pub enum Moment {
     Contact,
     /// At the end.
     After,
-}
-
-/// Executes a grasp with a hand that is in the world; `watch` is called at each [`Moment`].
-/// The hand stays at the end of its motion, with whatever it holds.
-pub fn execute(
-    world: &mut World,
-    hand: HandId,
-    grasp: &GraspCommand,
-    settings: &ExecuteSettings,
-    watch: &mut dyn FnMut(Moment, &World),
-) -> Trial {
-    unimplemented!("{world:?} {hand:?} {grasp:?} {settings:?} {}", watch as *const _ as *const () as usize)
 }

@@ -1,7 +1,17 @@
 //! From a perfect view to what a real depth camera would deliver.
+//!
+//! A time-of-flight camera measures with light of its own, so most of its faults follow from how much of it
+//! comes back. The *amplitude* here is `albedo * (1 - specular) * cos(incidence) / distance²`, distance along the
+//! optical axis in metres: 1 for a white matt surface that faces the camera at one metre.
+//!
+//! Not modelled: lens distortion (images are rectified), multipath between surfaces, scatter in the lens, drift
+//! while the device warms up, motion during the exposure.
 
-use crate::camera::Pinhole;
-use crate::render::View;
+mod config;
+mod observe;
+mod presets;
+
+pub use config::{Amplitude, Axial, Edges, Grazing, Lateral, Range, Sensor, SensorError, Shiny, Systematic};
 
 /// A depth image as a driver delivers it.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,26 +24,5 @@ pub struct DepthImage {
     pub depth_m: Vec<f32>,
 }
 
-/// A depth camera: its lens, and its faults.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Sensor {
-    /// The lens.
-    pub lens: Pinhole,
-}
-
-impl Sensor {
-    /// Azure Kinect, NFOV unbinned, 640 x 576.
-    pub fn azure_kinect() -> Self {
-        unimplemented!()
-    }
-
-    /// Pico Flexx, 224 x 172.
-    pub fn pico_flexx() -> Self {
-        unimplemented!()
-    }
-
-    /// One exposure. The seed decides the noise; the same seed gives the same image.
-    pub fn observe(&self, view: &View, seed: u64) -> DepthImage {
-        unimplemented!("{view:?} {seed}")
-    }
-}
+#[cfg(test)]
+mod tests;

@@ -4,17 +4,17 @@ mod hands;
 mod settings;
 
 pub use hands::{Command, HandContact, HandId, HandState, Touched};
-pub use settings::{Tray, WorldSettings};
+pub use settings::{HandSettings, Tray, WorldSettings};
 
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::prelude::{
     CoefficientCombineRule, ColliderBuilder, FrictionModel, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle,
-    SharedShape,
 };
 
 use crate::convert;
+use crate::hull;
 use crate::object::Object;
 
 /// Names an object of a [`World`]; never used twice.
@@ -27,6 +27,9 @@ impl ObjectId {
         self.0
     }
 }
+
+/// Marks the colliders of the tray; the table's have 0.
+const TRAY: u128 = 1;
 
 /// An object in the world.
 #[derive(Debug)]
@@ -69,7 +72,11 @@ impl World {
         // Things here are centimetres, not metres: tolerances follow.
         p.length_unit = 0.1;
         p.num_solver_iterations = settings.solver_iterations;
+        p.contact_softness.natural_frequency = settings.contact_hz;
+        p.static_contact_softness.natural_frequency = 2.0 * settings.contact_hz;
         p.friction_model = FrictionModel::Coulomb;
+        // Recycled contacts save half of the time, but some things then creep or rock for seconds.
+        p.contact_recycling = false;
         let half = settings.table_half_extent_m;
         let table = RigidBodyBuilder::fixed().translation(convert::vector(&Vector3::new(0.0, 0.0, -0.05)));
         physics.insert(table, ColliderBuilder::cuboid(half, half, 0.05).friction(settings.table_friction));
@@ -78,7 +85,9 @@ impl World {
                 let wall = RigidBodyBuilder::fixed().translation(convert::vector(&center));
                 physics.insert(
                     wall,
-                    ColliderBuilder::cuboid(half.x, half.y, half.z).friction(settings.table_friction),
+                    ColliderBuilder::cuboid(half.x, half.y, half.z)
+                        .friction(settings.table_friction)
+                        .user_data(TRAY),
                 );
             }
         }
@@ -97,12 +106,10 @@ impl World {
 
     /// Puts an object into the world, at rest.
     pub fn add(&mut self, object: Arc<Object>, world_from_object: &Isometry3<f64>) -> ObjectId {
-        let shapes: Vec<_> = object
-            .parts
-            .iter()
-            .filter_map(|part| SharedShape::convex_hull(&part.iter().map(convert::point).collect::<Vec<_>>()))
-            .collect();
-        let body = RigidBodyBuilder::dynamic().pose(convert::pose(world_from_object)).ccd_enabled(true);
+        let shapes: Vec<_> = object.parts.iter().filter_map(|part| hull::shape(part)).collect();
+        // The engine has no rolling friction: without some damping, round things would roll for ever.
+        let body = RigidBodyBuilder::dynamic().angular_damping(1.0).ccd_enabled(true);
+        let body = body.pose(convert::pose(world_from_object));
         let body = self.physics.insert_body(body);
         let volume: f64 = shapes.iter().map(|s| s.mass_properties(1.0).mass()).sum();
         for shape in shapes {
@@ -157,6 +164,15 @@ impl World {
         true
     }
 
+    /// Distance from a point (world frame) to an object, metres; 0 inside; `None` when it is not in the world.
+    pub fn distance(&self, id: ObjectId, point: &Point3<f64>) -> Option<f64> {
+        let body = self.physics.bodies.get(self.placed(id)?.body)?;
+        let colliders = body.colliders().iter().filter_map(|&c| self.physics.colliders.get(c));
+        colliders
+            .map(|c| c.shape().distance_to_point(c.position(), convert::point(point), true))
+            .reduce(f64::min)
+    }
+
     /// Mechanical energy of the objects, joules: kinetic, and potential above the table.
     pub fn energy(&self) -> f64 {
         self.objects
@@ -168,6 +184,9 @@ impl World {
 
     /// One step of [`WorldSettings::dt_s`].
     pub fn step(&mut self) {
+        for hand in &mut self.hands {
+            hand.drive(&mut self.physics, &self.settings.hands, self.settings.dt_s);
+        }
         self.physics.step();
         self.steps += 1;
     }
@@ -180,21 +199,9 @@ impl World {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::Mesh;
-    use crate::object::Surface;
 
     fn cube() -> Arc<Object> {
-        let mesh = Mesh::cuboid(Vector3::new(0.03, 0.02, 0.025));
-        let parts = vec![mesh.vertices.clone()];
-        let surface = Surface::default();
-        Arc::new(Object {
-            name: "box".into(),
-            mesh: mesh.into(),
-            parts,
-            mass_kg: 0.2,
-            friction: 0.5,
-            surface,
-        })
+        Arc::new(Object::cuboid("box", Vector3::new(0.03, 0.02, 0.025)).unwrap())
     }
 
     #[test]

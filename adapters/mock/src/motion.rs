@@ -1,0 +1,355 @@
+//! What an arm of a shared world is doing: moving, braking, halted. Lives on the world's thread.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use graspd_adapters_core::{ArmMode, DeviceError, FaultKind};
+use graspd_sim::world::{Command, HandId, HandState, Touched, World};
+use nalgebra::{Isometry3, Vector3};
+
+use crate::arm::ArmSettings;
+use crate::fault_handle::FaultHandle;
+use crate::faults::StopKind;
+use crate::link::Call;
+use crate::shared::Reply;
+use crate::stage::{Process, Stage};
+
+/// An arm that does not come to rest for this long while it brakes is taken to stand, seconds.
+const BRAKE_LIMIT_S: f64 = 0.5;
+/// A motion that does not end in time is braked this long before, seconds, so that the answer comes in time.
+const BRAKE_AHEAD_S: f64 = 0.05;
+
+/// A motion to begin.
+pub(crate) struct Order {
+    pub(crate) call: Call,
+    pub(crate) reply: Reply<()>,
+    pub(crate) world_from_hand: Isometry3<f64>,
+    pub(crate) speed_m_s: f64,
+}
+
+/// A motion that runs.
+struct Motion {
+    call: Call,
+    reply: Reply<()>,
+    began_s: f64,
+    last: Vector3<f64>,
+    path_m: f64,
+}
+
+enum Phase {
+    Standing,
+    Moving(Motion),
+    /// Braking after a motion that ended early; its caller hears the error when the arm stands.
+    Braking {
+        since_s: f64,
+        then: Option<(Call, Reply<()>, DeviceError)>,
+    },
+}
+
+/// State of one arm.
+pub(crate) struct ArmCore {
+    device: String,
+    hand: HandId,
+    settings: ArmSettings,
+    faults: FaultHandle,
+    phase: Phase,
+    halt: Option<(FaultKind, String)>,
+    /// Callers that wait for the arm to stand.
+    stops: Vec<(Call, Reply<()>)>,
+    /// True while a [`Drive`] looks at this arm after each step.
+    driven: bool,
+    force: Vector3<f64>,
+}
+
+/// An arm's state, shared by its calls and its process; only ever locked on the world's thread.
+#[derive(Clone)]
+pub(crate) struct Shared(Arc<Mutex<ArmCore>>);
+
+impl std::fmt::Debug for Shared {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("arm state")
+    }
+}
+
+impl Shared {
+    pub(crate) fn new(device: String, hand: HandId, settings: ArmSettings, faults: FaultHandle) -> Self {
+        Self(Arc::new(Mutex::new(ArmCore {
+            device,
+            hand,
+            settings,
+            faults,
+            phase: Phase::Standing,
+            halt: None,
+            stops: Vec::new(),
+            driven: false,
+            force: Vector3::zeros(),
+        })))
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, ArmCore> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Begins a motion, or says why not.
+    pub(crate) fn begin(&self, stage: &mut Stage, order: Order) {
+        let mut core = self.lock();
+        core.look_at_button(&mut stage.world);
+        if let Err(error) = core.admit() {
+            let _unheard = order.reply.send(Err(error));
+            return;
+        }
+        core.begin(&mut stage.world, order);
+        self.drive(core, stage);
+    }
+
+    /// Brakes whatever runs; the reply comes when the arm stands.
+    pub(crate) fn stop(&self, stage: &mut Stage, call: Call, reply: Reply<()>) {
+        let mut core = self.lock();
+        core.brake(&mut stage.world, stopped);
+        if matches!(core.phase, Phase::Standing) {
+            let _unheard = reply.send(Ok(()));
+            return;
+        }
+        core.stops.push((call, reply));
+        self.drive(core, stage);
+    }
+
+    fn drive(&self, mut core: MutexGuard<'_, ArmCore>, stage: &mut Stage) {
+        if !core.driven {
+            core.driven = true;
+            stage.start(Drive(self.clone()));
+        }
+    }
+}
+
+impl ArmCore {
+    /// What the arm says of itself.
+    pub(crate) fn mode(&mut self, world: &mut World) -> ArmMode {
+        self.look_at_button(world);
+        match (&self.halt, &self.phase) {
+            (Some((kind, _)), _) => ArmMode::Stopped(*kind),
+            (None, Phase::Standing) => ArmMode::Ready,
+            (None, _) => ArmMode::Moving,
+        }
+    }
+
+    /// Releases what may be released.
+    pub(crate) fn clear(&mut self, world: &mut World) -> Result<(), DeviceError> {
+        self.look_at_button(world);
+        if self.faults.emergency_stop() {
+            return Err(self.halted(FaultKind::EmergencyStop, "the emergency stop is pressed"));
+        }
+        self.halt = None;
+        Ok(())
+    }
+
+    /// `Ok` when a new motion may begin.
+    fn admit(&mut self) -> Result<(), DeviceError> {
+        if let Some((kind, detail)) = &self.halt {
+            return Err(self.halted(*kind, detail));
+        }
+        match &self.phase {
+            // A motion whose caller has gone stands in nobody's way.
+            Phase::Moving(motion) if !self.settings.replaces_motion && !motion.reply.is_closed() => {
+                Err(DeviceError::Busy { device: self.device.clone(), with: motion.call.operation.into() })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn begin(&mut self, world: &mut World, order: Order) {
+        self.force = Vector3::zeros();
+        let last = world.hand_state(self.hand).map(|s| s.world_from_hand.translation.vector);
+        let sent = world.command(
+            self.hand,
+            Command::Move {
+                world_from_hand: order.world_from_hand,
+                speed_m_s: order.speed_m_s,
+                turn_rad_s: self.settings.turn_rad_s,
+            },
+        );
+        let (Some(last), true) = (last, sent) else {
+            let _unheard = order.reply.send(Err(self.gone()));
+            return;
+        };
+        let motion =
+            Motion { call: order.call, reply: order.reply, began_s: world.time_s(), last, path_m: 0.0 };
+        match std::mem::replace(&mut self.phase, Phase::Moving(motion)) {
+            Phase::Moving(old) => {
+                let error = stopped(&old.call);
+                let _unheard = old.reply.send(Err(error));
+            }
+            Phase::Braking { then: Some((_, reply, error)), .. } => {
+                let _unheard = reply.send(Err(error));
+            }
+            Phase::Braking { then: None, .. } | Phase::Standing => {}
+        }
+    }
+
+    /// Looks at the arm after a step; true when it stands and nobody waits.
+    fn after_step(&mut self, world: &mut World) -> bool {
+        let Some(state) = world.hand_state(self.hand) else {
+            let error = self.gone();
+            self.answer(&Err(error));
+            return true;
+        };
+        self.look_at_button(world);
+        let now_s = world.time_s();
+        match &mut self.phase {
+            Phase::Moving(motion) => {
+                let at = state.world_from_hand.translation.vector;
+                motion.path_m += (at - motion.last).norm();
+                motion.last = at;
+                self.watch_motion(world, &state);
+            }
+            Phase::Braking { since_s, then } => {
+                let late = then.as_ref().is_some_and(|(call, ..)| now_s >= call.until_s);
+                if state.arrived || late || now_s - *since_s > BRAKE_LIMIT_S {
+                    if let Some((_, reply, error)) = then.take() {
+                        let _unheard = reply.send(Err(error));
+                    }
+                    self.phase = Phase::Standing;
+                }
+            }
+            Phase::Standing => {}
+        }
+        self.answer_stops(now_s);
+        matches!(self.phase, Phase::Standing) && self.stops.is_empty()
+    }
+
+    /// Ends the motion that runs where something ends it.
+    fn watch_motion(&mut self, world: &mut World, state: &HandState) {
+        let Phase::Moving(motion) = &self.phase else { return };
+        let now_s = world.time_s();
+        let timed_out = (now_s >= motion.call.until_s - BRAKE_AHEAD_S).then(|| motion.call.timed_out());
+        let call = motion.call.clone();
+        if motion.reply.is_closed() {
+            self.brake(world, stopped);
+            return;
+        }
+        if let Some(kind) = self.faults.motion_stop(motion.path_m, now_s - motion.began_s) {
+            let detail = format!("injected {:.3} m into {}", motion.path_m, motion.call.operation);
+            let kind = match kind {
+                StopKind::Protective => FaultKind::ProtectiveStop,
+                StopKind::Emergency => FaultKind::EmergencyStop,
+            };
+            self.halt(world, kind, detail);
+            return;
+        }
+        let force_n = self.feel(world);
+        if let Some(limit) = self.settings.stop_force_n.filter(|limit| force_n > *limit) {
+            let detail = format!("{force_n:.0} N at the hand during {}, limit {limit:.0} N", call.operation);
+            self.halt(world, FaultKind::ProtectiveStop, detail);
+        } else if state.arrived {
+            if let Phase::Moving(motion) = std::mem::replace(&mut self.phase, Phase::Standing) {
+                let _unheard = motion.reply.send(Ok(()));
+            }
+        } else if let Some(error) = timed_out {
+            self.brake(world, |_| error.clone());
+        }
+    }
+
+    /// Force of all that presses on the hand from outside, smoothed, newtons. What the fingers hold presses from
+    /// all sides and cancels.
+    fn feel(&mut self, world: &World) -> f64 {
+        let net: Vector3<f64> = world
+            .hand_contacts(self.hand)
+            .iter()
+            .filter(|c| c.touched != Touched::Hand(self.hand))
+            .map(|c| -c.normal * c.force_n)
+            .sum();
+        let dt = world.settings().dt_s;
+        self.force += (net - self.force) * (dt / self.settings.force_filter_s.max(dt));
+        self.force.norm()
+    }
+
+    /// Notices a pressed emergency stop.
+    fn look_at_button(&mut self, world: &mut World) {
+        let known = matches!(self.halt, Some((FaultKind::EmergencyStop, _)));
+        if self.faults.emergency_stop() && !known {
+            self.halt(world, FaultKind::EmergencyStop, "the emergency stop is pressed".into());
+        }
+    }
+
+    /// The arm stops itself.
+    fn halt(&mut self, world: &mut World, kind: FaultKind, detail: String) {
+        let error = self.halted(kind, &detail);
+        self.halt = Some((kind, detail));
+        self.brake(world, |_| error.clone());
+    }
+
+    /// Holds the wrist where it is; the caller of a motion that runs hears why, when the arm stands.
+    fn brake(&mut self, world: &mut World, why: impl Fn(&Call) -> DeviceError) {
+        if !matches!(self.phase, Phase::Moving(_)) {
+            return;
+        }
+        if let Some(state) = world.hand_state(self.hand) {
+            let hold = Command::Move {
+                world_from_hand: state.world_from_hand,
+                speed_m_s: self.settings.max_speed_m_s,
+                turn_rad_s: self.settings.turn_rad_s,
+            };
+            // The hand was in the world a line ago.
+            let _sent = world.command(self.hand, hold);
+        }
+        let braking = Phase::Braking { since_s: world.time_s(), then: None };
+        if let Phase::Moving(motion) = std::mem::replace(&mut self.phase, braking) {
+            let error = why(&motion.call);
+            if let Phase::Braking { then, .. } = &mut self.phase {
+                *then = Some((motion.call, motion.reply, error));
+            }
+        }
+    }
+
+    /// Answers everybody, for the hand is gone.
+    fn answer(&mut self, result: &Result<(), DeviceError>) {
+        match std::mem::replace(&mut self.phase, Phase::Standing) {
+            Phase::Moving(Motion { reply, .. }) | Phase::Braking { then: Some((_, reply, _)), .. } => {
+                let _unheard = reply.send(result.clone());
+            }
+            Phase::Braking { then: None, .. } | Phase::Standing => {}
+        }
+        for (_, reply) in self.stops.drain(..) {
+            let _unheard = reply.send(result.clone());
+        }
+    }
+
+    fn answer_stops(&mut self, now_s: f64) {
+        let standing = matches!(self.phase, Phase::Standing);
+        for (call, reply) in std::mem::take(&mut self.stops) {
+            if standing {
+                let _unheard = reply.send(Ok(()));
+            } else if now_s >= call.until_s {
+                let _unheard = reply.send(Err(call.timed_out()));
+            } else if !reply.is_closed() {
+                self.stops.push((call, reply));
+            }
+        }
+    }
+
+    fn halted(&self, kind: FaultKind, detail: &str) -> DeviceError {
+        DeviceError::Fault { device: self.device.clone(), kind, detail: detail.into() }
+    }
+
+    fn gone(&self) -> DeviceError {
+        let detail = "the hand that the arm carries is no longer in the world".into();
+        DeviceError::Disconnected { device: self.device.clone(), detail }
+    }
+}
+
+fn stopped(call: &Call) -> DeviceError {
+    DeviceError::Stopped { device: call.device.clone(), operation: call.operation }
+}
+
+/// Looks after an arm while it moves or brakes.
+struct Drive(Shared);
+
+impl Process for Drive {
+    fn after_step(&mut self, world: &mut World) -> bool {
+        let mut core = self.0.lock();
+        let done = core.after_step(world);
+        if done {
+            core.driven = false;
+        }
+        done
+    }
+}

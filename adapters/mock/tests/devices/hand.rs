@@ -1,0 +1,146 @@
+//! Hands: gripping, feeling, faults.
+
+use std::time::Duration;
+
+use graspd_adapters_core::{Arm, DeviceError, FaultKind, GripCommand, Hand};
+use graspd_adapters_mock::{Faults, HandSettings, MockHand, Overload, SharedWorld, Spell};
+
+use crate::fixtures::{LIMITS, SECOND, TEN, arm, close, down, fingers, gripper, shared};
+
+async fn hand_in_the_air(faults: Faults) -> (SharedWorld, MockHand) {
+    let shared = shared(0.0);
+    let hand = gripper(&shared).await;
+    let fingers = fingers(&shared, hand, faults).await;
+    (shared, fingers)
+}
+
+#[tokio::test]
+async fn fingers_that_close_on_nothing_reach_their_target_and_feel_nothing() {
+    let (_shared, hand) = hand_in_the_air(Faults::default()).await;
+    let info = hand.info();
+    assert_eq!((info.hand_id.as_str(), info.actuators.as_slice()), ("antipodal", &["grip".to_owned()][..]));
+    let state = hand.grip(&close(0.04), TEN).await.unwrap();
+    assert!(state.settled && !state.feels_object(), "{state:?}");
+    assert!((state.actuators[0] - 0.04).abs() < 1e-3, "{state:?}");
+    assert_eq!(hand.state(SECOND).await.unwrap(), state);
+}
+
+#[tokio::test]
+async fn fingers_that_close_on_a_box_are_held_and_carry_it() {
+    let shared = shared(0.0);
+    let arm = arm(&shared, Faults::default()).await;
+    let hand = fingers(&shared, arm.hand(), Faults::default()).await;
+    arm.move_linear(&down(0.0, 0.0, 0.08), LIMITS, TEN).await.unwrap();
+    let state = hand.grip(&close(0.06), TEN).await.unwrap();
+    assert_eq!(state.held, [true]);
+    // 12 cm open, the box is 5 cm wide: each finger has gone 3.5 cm.
+    assert!((state.actuators[0] - 0.035).abs() < 2e-3, "{state:?}");
+    arm.move_linear(&down(0.0, 0.0, 0.25), LIMITS, TEN).await.unwrap();
+    let held = shared.held().await.unwrap();
+    assert_eq!(held.len(), 1);
+    assert_eq!(held[0].0, arm.hand());
+    assert!(hand.state(SECOND).await.unwrap().feels_object());
+}
+
+#[tokio::test]
+async fn a_hand_that_does_not_feel_says_nothing_about_contact() {
+    let shared = shared(0.0);
+    let id = gripper(&shared).await;
+    let settings = HandSettings { feels_contact: false, ..HandSettings::default() };
+    let hand = MockHand::new(&shared, id, settings, Faults::default()).await.unwrap();
+    assert!(hand.grip(&close(0.03), TEN).await.unwrap().held.is_empty());
+    assert!(shared.with(move |world| world.remove_hand(id)).await.unwrap());
+    let error = hand.state(SECOND).await.unwrap_err();
+    assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
+    assert!(MockHand::new(&shared, id, HandSettings::default(), Faults::default()).await.is_err());
+}
+
+#[tokio::test]
+async fn what_cannot_be_is_refused_before_anything_moves() {
+    let (shared, hand) = hand_in_the_air(Faults::default()).await;
+    let cases = [
+        (GripCommand { actuators: vec![0.0, 0.0], ..close(0.0) }, "actuators"),
+        (close(0.07), "actuators.grip"),
+        (close(f64::NAN), "actuators.grip"),
+        (GripCommand { force: 1.5, ..close(0.0) }, "force"),
+        (GripCommand { speed: -0.1, ..close(0.0) }, "speed"),
+    ];
+    for (command, expected) in cases {
+        let error = hand.grip(&command, TEN).await.unwrap_err();
+        assert!(matches!(&error, DeviceError::OutOfRange { field, .. } if field == expected), "{error}");
+    }
+    assert_eq!(shared.time_s(), 0.0);
+}
+
+#[tokio::test]
+async fn a_hand_that_does_not_answer_times_out_and_does_nothing() {
+    let (shared, hand) = hand_in_the_air(Faults { silent: Some(Spell::Calls(2)), ..Faults::default() }).await;
+    let error = hand.grip(&close(0.06), SECOND).await.unwrap_err();
+    assert!(matches!(error, DeviceError::Timeout { operation: "grip", .. }), "{error}");
+    assert!((shared.time_s() - 1.0).abs() < 0.005);
+    let error = hand.state(SECOND).await.unwrap_err();
+    assert!(matches!(error, DeviceError::Timeout { operation: "state", .. }), "{error}");
+    assert!(hand.state(SECOND).await.unwrap().actuators[0] < 1e-3);
+    hand.faults().update(|f| f.refused = Some(Spell::Calls(1))).unwrap();
+    let error = hand.grip(&close(0.06), SECOND).await.unwrap_err();
+    assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn an_overloaded_hand_lets_go_and_works_again_when_cleared() {
+    let shared = shared(0.0);
+    let arm = arm(&shared, Faults::default()).await;
+    let hand = fingers(&shared, arm.hand(), Faults::default()).await;
+    arm.move_linear(&down(0.0, 0.0, 0.08), LIMITS, TEN).await.unwrap();
+    hand.grip(&close(0.06), TEN).await.unwrap();
+    arm.move_linear(&down(0.0, 0.0, 0.15), LIMITS, TEN).await.unwrap();
+    hand.faults().update(|f| f.overload = Some(Overload { after_s: 0.02 })).unwrap();
+    let error = hand.grip(&close(0.06), TEN).await.unwrap_err();
+    assert!(matches!(error, DeviceError::Fault { kind: FaultKind::Overload, .. }), "{error}");
+    assert!(error.is_clearable());
+    shared.wait(1.0).await.unwrap();
+    assert!(shared.held().await.unwrap().is_empty(), "fingers without force hold nothing");
+    assert!(!hand.state(SECOND).await.unwrap().feels_object());
+    let refused = hand.grip(&close(0.0), TEN).await.unwrap_err();
+    assert!(matches!(refused, DeviceError::Fault { kind: FaultKind::Overload, .. }), "{refused}");
+    hand.clear_fault(SECOND).await.unwrap();
+    hand.grip(&close(0.0), TEN).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_second_grip_is_refused_while_one_runs() {
+    let (shared, hand) = hand_in_the_air(Faults::default()).await;
+    let slow = GripCommand { speed: 0.1, ..close(0.05) };
+    let (first, second) = tokio::join!(hand.grip(&slow, TEN), async {
+        shared.wait(0.1).await.unwrap();
+        hand.grip(&close(0.0), TEN).await
+    });
+    assert!((first.unwrap().actuators[0] - 0.05).abs() < 1e-3);
+    assert!(matches!(second, Err(DeviceError::Busy { .. })), "{second:?}");
+}
+
+#[tokio::test]
+async fn a_grip_that_takes_too_long_is_stopped_and_times_out_in_time() {
+    let (shared, hand) = hand_in_the_air(Faults::default()).await;
+    let slow = GripCommand { speed: 0.05, ..close(0.06) };
+    let error = hand.grip(&slow, SECOND).await.unwrap_err();
+    assert!(matches!(error, DeviceError::Timeout { operation: "grip", .. }), "{error}");
+    assert!(shared.time_s() <= 1.003);
+    let at = hand.state(SECOND).await.unwrap().actuators[0];
+    shared.wait(1.0).await.unwrap();
+    let later = hand.state(SECOND).await.unwrap().actuators[0];
+    assert!((later - at).abs() < 1e-3 && later < 0.03, "{at}, then {later}");
+}
+
+#[tokio::test]
+async fn dropping_a_grip_stops_the_fingers() {
+    let (shared, hand) = hand_in_the_air(Faults::default()).await;
+    shared.pause();
+    let slow = GripCommand { speed: 0.05, ..close(0.06) };
+    let dropped = tokio::time::timeout(Duration::from_millis(20), hand.grip(&slow, 1000 * SECOND)).await;
+    assert!(dropped.is_err());
+    shared.resume();
+    shared.wait(1.0).await.unwrap();
+    assert!(hand.state(SECOND).await.unwrap().actuators[0] < 0.005);
+    assert!((hand.grip(&close(0.02), TEN).await.unwrap().actuators[0] - 0.02).abs() < 1e-3);
+}

@@ -1,0 +1,134 @@
+//! The arm that carries a hand: a stiff position-controlled wrist of limited force.
+//!
+//! The wrist's reference moves on a straight line with bounded speed and acceleration. In every step the root
+//! body's velocity is led to the reference's; how much it may change in one step is what the arm's force allows, so
+//! that whatever stands in the way feels that force and no more. While the wrist is held back, the reference waits.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+
+use crate::world::HandSettings;
+
+/// Acceleration along the line, metres per second squared.
+const ACCELERATION: f64 = 2.0;
+/// Time in which the wrist makes up for a position error, seconds.
+const CATCH_UP_S: f64 = 0.02;
+/// The reference waits when the wrist lags behind by this much, metres.
+const LAG_M: f64 = 0.002;
+/// The wrist has arrived when it is this close, metres and radians.
+const ARRIVED: (f64, f64) = (5e-4, 2e-3);
+
+/// Linear and angular velocity, world frame.
+pub(super) type Twist = (Vector3<f64>, Vector3<f64>);
+
+/// The motion of one wrist.
+#[derive(Debug, Clone)]
+pub(super) struct Wrist {
+    from: Isometry3<f64>,
+    to: Isometry3<f64>,
+    /// Length of the way, metres; turning counts as the way that takes as long.
+    length: f64,
+    /// Largest speed along it, metres per second.
+    speed: f64,
+    /// Way done and speed now.
+    done: f64,
+    rate: f64,
+    /// Where the wrist should be now.
+    reference: Isometry3<f64>,
+    /// Set by [`Wrist::guide`]: the reference is given from outside for the next step.
+    guided: Option<Isometry3<f64>>,
+}
+
+impl Wrist {
+    /// A wrist at rest.
+    pub(super) fn new(at: &Isometry3<f64>) -> Self {
+        Self {
+            from: *at,
+            to: *at,
+            length: 0.0,
+            speed: 0.0,
+            done: 0.0,
+            rate: 0.0,
+            reference: *at,
+            guided: None,
+        }
+    }
+
+    /// Moves from where the reference is to a pose.
+    pub(super) fn go(&mut self, to: &Isometry3<f64>, speed_m_s: f64, turn_rad_s: f64) {
+        let (speed, turn) = (speed_m_s.clamp(1e-4, 5.0), turn_rad_s.clamp(1e-3, 20.0));
+        let way = (to.translation.vector - self.reference.translation.vector).norm();
+        let angle = self.reference.rotation.angle_to(&to.rotation);
+        self.from = self.reference;
+        self.to = *to;
+        self.length = way.max(angle * speed / turn);
+        self.speed = speed;
+        self.done = 0.0;
+        self.rate = 0.0;
+        self.guided = None;
+    }
+
+    /// Gives the reference of the next step.
+    pub(super) fn guide(&mut self, to: &Isometry3<f64>) {
+        self.guided = Some(*to);
+    }
+
+    /// Whether the way is done and the wrist is there.
+    pub(super) fn arrived(&self, at: &Isometry3<f64>) -> bool {
+        self.done >= self.length
+            && (at.translation.vector - self.to.translation.vector).norm() < ARRIVED.0
+            && at.rotation.angle_to(&self.to.rotation) < ARRIVED.1
+    }
+
+    /// The velocity to give to the root body for the next step, from its pose and velocity now.
+    pub(super) fn step(
+        &mut self,
+        at: &Isometry3<f64>,
+        now: &Twist,
+        dt: f64,
+        settings: &HandSettings,
+    ) -> Twist {
+        let before = self.reference;
+        self.advance(at, dt);
+        let (linear, angular) = twist(&before, &self.reference, dt);
+        let (error_linear, error_angular) = twist(at, &self.reference, CATCH_UP_S);
+        let most = settings.arm_force_n / settings.arm_mass_kg * dt;
+        // The same force at a tenth of a metre turns the root, whose radius of gyration that is.
+        let most_angular = most / 0.1;
+        let lead = |now: &Vector3<f64>, wanted: Vector3<f64>, most: f64| {
+            let change = wanted - now;
+            now + change * (most / change.norm().max(1e-12)).min(1.0)
+        };
+        (lead(&now.0, linear + error_linear, most), lead(&now.1, angular + error_angular, most_angular))
+    }
+
+    fn advance(&mut self, at: &Isometry3<f64>, dt: f64) {
+        if let Some(guided) = self.guided.take() {
+            (self.reference, self.from, self.to) = (guided, guided, guided);
+            (self.length, self.done, self.rate) = (0.0, 0.0, 0.0);
+            return;
+        }
+        let lag = (self.reference.translation.vector - at.translation.vector).norm();
+        if lag > LAG_M || self.done >= self.length {
+            self.rate = 0.0;
+            return;
+        }
+        let left = self.length - self.done;
+        self.rate = (self.rate + ACCELERATION * dt).min(self.speed).min((2.0 * ACCELERATION * left).sqrt());
+        // The last bit is not crept along for ever.
+        self.done = (self.done + self.rate.max(1e-3) * dt).min(self.length);
+        let share = self.done / self.length;
+        let (from, to) = (self.from.translation.vector, self.to.translation.vector);
+        let translation = Translation3::from(from.lerp(&to, share));
+        let whole = (self.to.rotation * self.from.rotation.inverse()).scaled_axis();
+        let rotation = UnitQuaternion::from_scaled_axis(whole * share) * self.from.rotation;
+        self.reference = Isometry3::from_parts(translation, rotation);
+    }
+}
+
+/// The velocity that takes one pose to another in a time.
+fn twist(from: &Isometry3<f64>, to: &Isometry3<f64>, time_s: f64) -> Twist {
+    (
+        (to.translation.vector - from.translation.vector) / time_s,
+        (to.rotation * from.rotation.inverse()).scaled_axis() / time_s,
+    )
+}
