@@ -152,6 +152,10 @@ fn scene_options(question: &Question) -> SceneOptions {
             table_height_m: question.workspace.table_height_m,
         }),
         volume_size_m: Some(question.workspace.size_m),
+        grasp_region: question.region.as_ref().map(|region| wire::GraspRegion {
+            pose: Some(pose_message(&region.pose)),
+            half_extents_m: Some(vector_message(region.half_extents_m)),
+        }),
         ..SceneOptions::default()
     }
 }
