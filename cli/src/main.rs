@@ -17,6 +17,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
+#[cfg(feature = "sim")]
+use commands::cell;
 use commands::{bench, demo, hands, plan, serve};
 
 /// Ranked grasps for any robotic hand from one depth frame, over gRPC.
@@ -34,6 +36,8 @@ enum Command {
     Hands(hands::HandsArgs),
     Demo(demo::DemoArgs),
     Bench(bench::BenchArgs),
+    #[cfg(feature = "sim")]
+    Cell(cell::CellArgs),
 }
 
 fn main() -> ExitCode {
@@ -55,6 +59,8 @@ fn main() -> ExitCode {
         Command::Hands(args) => hands::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Bench(args) => bench::run(args),
+        #[cfg(feature = "sim")]
+        Command::Cell(args) => cell::run(args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -171,11 +171,11 @@ impl Shared {
 }
 
 const DEVICE_FAULTS: &[Fault] = &[
+    Fault::OutOfRange,
     Fault::Timeout,
     Fault::Hangs,
     Fault::Disconnected,
     Fault::Emergency,
-    Fault::OutOfRange,
     Fault::Broken,
     Fault::Stop,
 ];
@@ -241,7 +241,10 @@ impl Shared {
             assert!(!low, "sideways among the objects: {:?} to {to:?}", world.flange);
             (world.flange, between.norm())
         };
-        let result = self.device("arm", name, DEVICE_FAULTS).await;
+        // A way straight up that is out of reach is left out in silence: the pose above the grasp decides.
+        let rises = name == "move_linear" && matches!(self.world().step, Step::Pregrasp | Step::Carry);
+        let fits = if rises { &DEVICE_FAULTS[1..] } else { DEVICE_FAULTS };
+        let result = self.device("arm", name, fits).await;
         if let Err(error) = &result {
             let mut world = self.world();
             if matches!(error, DeviceError::Fault { .. }) {
