@@ -221,10 +221,9 @@ mod tests {
                 let (n, m) = (bytes.len(), at % bytes.len());
                 bytes[m] = byte;
                 bytes.truncate(if cut < n { cut } else { n });
-                for parsed in [parse_stl(&bytes, 100), parse_obj(&bytes, 100)] {
-                    if let Ok((vertices, triangles)) = parsed {
-                        prop_assert!(triangles.iter().flatten().all(|&i| (i as usize) < vertices.len()));
-                    }
+                let parsed = [parse_stl(&bytes, 100), parse_obj(&bytes, 100)];
+                for (vertices, triangles) in parsed.into_iter().flatten() {
+                    prop_assert!(triangles.iter().flatten().all(|&i| (i as usize) < vertices.len()));
                 }
             }
         }

@@ -115,15 +115,13 @@ impl MockArm {
         let work = async {
             self.check(to, limits)?;
             self.link.reach(&call, true).await?;
-            let (state, world_from_hand, call) = (self.state.clone(), *to, call.clone());
+            let (state, world_from_hand, theirs) = (self.state.clone(), *to, call.clone());
             let speed_m_s = limits.speed_m_s;
-            self.link
-                .shared
-                .request(move |stage, reply| {
-                    state.begin(stage, Order { call, reply, world_from_hand, speed_m_s });
-                })
-                .await
-                .map_err(|_| self.link.ended())?
+            let answer = self.link.shared.request(move |stage, reply| {
+                state.begin(stage, Order { call: theirs, reply, world_from_hand, speed_m_s });
+            });
+            let answer = answer.await.map_err(|_| self.link.ended())?;
+            self.link.back(&call, answer).await
         };
         self.link.shared.bounded(&call.device, operation, timeout, work).await
     }
@@ -207,9 +205,10 @@ impl Arm for MockArm {
         let call = self.link.call("stop", timeout);
         let work = async {
             self.link.reach(&call, true).await?;
-            let (state, call) = (self.state.clone(), call.clone());
-            let answer = self.link.shared.request(move |stage, reply| state.stop(stage, call, reply));
-            answer.await.map_err(|_| self.link.ended())?
+            let (state, theirs) = (self.state.clone(), call.clone());
+            let answer = self.link.shared.request(move |stage, reply| state.stop(stage, theirs, reply));
+            let answer = answer.await.map_err(|_| self.link.ended())?;
+            self.link.back(&call, answer).await
         };
         self.link.shared.bounded(&call.device, call.operation, timeout, work).await
     }

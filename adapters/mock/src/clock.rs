@@ -1,6 +1,6 @@
 //! The world's clock as others read it: without waiting for the world's thread.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Time of a world, written by its thread after each step.
@@ -8,6 +8,7 @@ use std::time::Duration;
 pub(crate) struct Clock {
     time_bits: AtomicU64,
     paused: AtomicBool,
+    holds: AtomicUsize,
 }
 
 impl Clock {
@@ -20,8 +21,21 @@ impl Clock {
         self.time_bits.store(time_s.to_bits(), Ordering::Release);
     }
 
-    pub(crate) fn is_paused(&self) -> bool {
+    fn is_paused(&self) -> bool {
         self.paused.load(Ordering::Acquire)
+    }
+
+    /// True while the world must not step.
+    pub(crate) fn stands(&self) -> bool {
+        self.is_paused() || self.holds.load(Ordering::Acquire) > 0
+    }
+
+    pub(crate) fn hold(&self) {
+        self.holds.fetch_add(1, Ordering::AcqRel);
+    }
+
+    pub(crate) fn release(&self) {
+        self.holds.fetch_sub(1, Ordering::AcqRel);
     }
 
     pub(crate) fn pause(&self, paused: bool) {
@@ -45,6 +59,11 @@ mod tests {
         clock.set(1.25);
         clock.pause(true);
         assert!(clock.now_s() == 1.25 && clock.is_paused());
+        clock.pause(false);
+        clock.hold();
+        assert!(clock.stands());
+        clock.release();
+        assert!(!clock.stands());
         assert_eq!(duration(-1.0), Duration::ZERO);
         assert_eq!(duration(f64::NAN), Duration::ZERO);
         assert_eq!(duration(0.5), Duration::from_millis(500));

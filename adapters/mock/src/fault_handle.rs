@@ -102,6 +102,17 @@ impl FaultHandle {
         applies(&mut state.faults.silent, now_s - since_s)
     }
 
+    /// True when an answer is lost on its way back: silence that lasts for a time covers it. Counts no call.
+    pub(crate) fn loses_answers(&self) -> bool {
+        let now_s = self.clock.now_s();
+        let state = self.lock();
+        match state.faults.silent {
+            Some(Spell::Forever) => true,
+            Some(Spell::Seconds(limit)) => now_s - state.silent_since_s < limit,
+            Some(Spell::Calls(_)) | None => false,
+        }
+    }
+
     /// Latency of the next call, seconds.
     pub(crate) fn call_latency_s(&self) -> f64 {
         let mut state = self.lock();

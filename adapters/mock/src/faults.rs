@@ -79,7 +79,8 @@ pub struct Faults {
     pub jitter_s: f64,
     /// Connections are refused. Each refused call takes 0.1 s.
     pub refused: Option<Spell>,
-    /// The device neither does nor answers what it is asked.
+    /// The device neither does nor answers what it is asked. Set during a call (`seconds` or `forever`), the
+    /// device does what it was asked and its answer is lost.
     pub silent: Option<Spell>,
     /// Camera: share of the frames that never arrive, 0 to 1.
     pub drop_share: f64,

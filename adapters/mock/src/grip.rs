@@ -10,6 +10,10 @@ use crate::link::Call;
 use crate::shared::Reply;
 use crate::stage::{Process, Stage};
 
+/// A hand is also at rest when, for this long, seconds ...
+const STALL_S: f64 = 0.2;
+/// ... no actuator has gone farther than this share of its range: controllers end a grip that creeps.
+const STALL_SHARE: f64 = 1e-3;
 /// A grip that does not end in time is stopped this long before, seconds, so that the answer comes in time.
 const STOP_AHEAD_S: f64 = 0.01;
 
@@ -18,14 +22,19 @@ pub(crate) struct HandCore {
     device: String,
     hand: HandId,
     faults: FaultHandle,
-    /// How far each actuator must be from its target to count as held, radians or metres.
-    tolerances: Vec<f64>,
-    feels_contact: bool,
+    /// Range of each actuator, radians or metres.
+    ranges: Vec<f64>,
+    /// How far from its target an actuator at rest counts as held, share of its range; `None`: it feels nothing.
+    held_share: Option<f64>,
     /// Target and share of force of the last command; `None` before the first.
     target: Option<(Vec<f64>, f64)>,
     overloaded: bool,
     grip: Option<(Call, Reply<HandState>, f64)>,
     driven: bool,
+    /// Where the actuators were when they last moved, and when that was.
+    still: Option<(Vec<f64>, f64)>,
+    /// True when the last grip ended with the fingers at rest.
+    rested: bool,
 }
 
 /// A hand controller's state, shared by its calls and its process; only ever locked on the world's thread.
@@ -43,19 +52,21 @@ impl Shared {
         device: String,
         hand: HandId,
         faults: FaultHandle,
-        tolerances: Vec<f64>,
-        feels_contact: bool,
+        ranges: Vec<f64>,
+        held_share: Option<f64>,
     ) -> Self {
         Self(Arc::new(Mutex::new(HandCore {
             device,
             hand,
             faults,
-            tolerances,
-            feels_contact,
+            ranges,
+            held_share,
             target: None,
             overloaded: false,
             grip: None,
             driven: false,
+            still: None,
+            rested: false,
         })))
     }
 
@@ -71,6 +82,10 @@ impl Shared {
         reply: Reply<HandState>,
         command: &GripCommand,
     ) {
+        if reply.is_closed() {
+            // Given up before the hand heard of it.
+            return;
+        }
         let mut core = self.lock();
         if let Err(error) = core.begin(&mut stage.world, command) {
             let _unheard = reply.send(Err(error));
@@ -88,18 +103,17 @@ impl HandCore {
     /// What the hand reports.
     pub(crate) fn state(&self, world: &World) -> Result<HandState, DeviceError> {
         let state = world.hand_state(self.hand).ok_or_else(|| self.gone())?;
-        let held = match &self.target {
-            Some((target, _)) if self.feels_contact => {
-                let away = state.actuators.iter().zip(target).zip(&self.tolerances);
-                away.map(|((at, target), tolerance)| {
-                    state.settled && !self.overloaded && (at - target).abs() > *tolerance
-                })
-                .collect()
+        let settled = state.settled || self.rested;
+        let held = match (&self.target, self.held_share) {
+            (_, None) => Vec::new(),
+            (None, Some(_)) => vec![false; self.ranges.len()],
+            (Some((target, _)), Some(share)) => {
+                let away = state.actuators.iter().zip(target).zip(&self.ranges);
+                let short = |((at, target), range): ((&f64, &f64), &f64)| (at - target).abs() > share * range;
+                away.map(|actuator| settled && !self.overloaded && short(actuator)).collect()
             }
-            _ if self.feels_contact => vec![false; self.tolerances.len()],
-            _ => Vec::new(),
         };
-        Ok(HandState { actuators: state.actuators, held, settled: state.settled })
+        Ok(HandState { actuators: state.actuators, held, settled })
     }
 
     /// Makes an overloaded hand ready.
@@ -123,13 +137,15 @@ impl HandCore {
             return Err(self.gone());
         }
         self.target = Some((command.actuators.clone(), command.force));
+        (self.still, self.rested) = (None, false);
         Ok(())
     }
 
     /// Looks at the hand after a step; true when no grip runs any more.
     fn after_step(&mut self, world: &mut World) -> bool {
-        let Some((call, reply, began_s)) = &self.grip else { return true };
         let now_s = world.time_s();
+        self.rested = self.rests(world, now_s);
+        let Some((call, reply, began_s)) = &self.grip else { return true };
         let answer = if reply.is_closed() {
             self.stop(world);
             self.grip = None;
@@ -154,6 +170,17 @@ impl HandCore {
             let _unheard = reply.send(answer);
         }
         true
+    }
+
+    /// True when the fingers have stalled.
+    fn rests(&mut self, world: &World, now_s: f64) -> bool {
+        let Some(state) = world.hand_state(self.hand) else { return false };
+        let (then, since_s) = self.still.get_or_insert_with(|| (state.actuators.clone(), now_s));
+        let moved = state.actuators.iter().zip(&*then).zip(&self.ranges);
+        if moved.into_iter().any(|((now, then), range)| (now - then).abs() > STALL_SHARE * range) {
+            (*then, *since_s) = (state.actuators, now_s);
+        }
+        now_s - *since_s >= STALL_S
     }
 
     /// Holds the fingers where they are, with the force that was asked for.

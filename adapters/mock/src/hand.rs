@@ -72,9 +72,9 @@ impl MockHand {
             actuators: actuators.iter().map(|c| c.name.clone()).collect(),
             feels_contact: settings.feels_contact,
         };
-        let tolerances = actuators.iter().map(|c| settings.held_share * (c.upper - c.lower)).collect();
-        let state =
-            Shared::new(settings.name.clone(), hand, faults.clone(), tolerances, settings.feels_contact);
+        let ranges = actuators.iter().map(|c| c.upper - c.lower).collect();
+        let held_share = settings.feels_contact.then_some(settings.held_share);
+        let state = Shared::new(settings.name.clone(), hand, faults.clone(), ranges, held_share);
         let link = Link { device: settings.name, shared: shared.clone(), faults };
         Ok(Self { link, info, actuators, hand, state })
     }
@@ -136,11 +136,12 @@ impl Hand for MockHand {
         let work = async {
             self.check(command)?;
             self.link.reach(&call, true).await?;
-            let (state, call, command) = (self.state.clone(), call.clone(), command.clone());
+            let (state, theirs, command) = (self.state.clone(), call.clone(), command.clone());
             let answer = self.link.shared.request(move |stage, reply| {
-                state.begin(stage, call, reply, &command);
+                state.begin(stage, theirs, reply, &command);
             });
-            answer.await.map_err(|_| self.link.ended())?
+            let answer = answer.await.map_err(|_| self.link.ended())?;
+            self.link.back(&call, answer).await
         };
         self.link.shared.bounded(&call.device, call.operation, timeout, work).await
     }

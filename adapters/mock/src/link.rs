@@ -65,6 +65,22 @@ impl Link {
         self.sleep_until(arrives_s).await
     }
 
+    /// Brings an answer back, unless it is lost on its way.
+    ///
+    /// # Errors
+    /// The answer's own; `Timeout` when the device has fallen silent meanwhile.
+    pub(crate) async fn back<R>(
+        &self,
+        call: &Call,
+        answer: Result<R, DeviceError>,
+    ) -> Result<R, DeviceError> {
+        if self.faults.loses_answers() {
+            self.sleep_until(call.until_s).await?;
+            return Err(call.timed_out());
+        }
+        answer
+    }
+
     pub(crate) fn ended(&self) -> DeviceError {
         ended(&self.device)
     }

@@ -91,6 +91,10 @@ impl Shared {
 
     /// Begins a motion, or says why not.
     pub(crate) fn begin(&self, stage: &mut Stage, order: Order) {
+        if order.reply.is_closed() {
+            // Given up before the arm heard of it.
+            return;
+        }
         let mut core = self.lock();
         core.look_at_button(&mut stage.world);
         if let Err(error) = core.admit() {

@@ -2,8 +2,8 @@
 
 use std::future::Future;
 use std::pin::pin;
-use std::sync::Arc;
 use std::sync::mpsc::{Sender, channel};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use graspd_adapters_core::DeviceError;
@@ -77,7 +77,7 @@ pub struct WorldEnded;
 /// Nothing here blocks: what is asked of the world is done on its thread between two steps.
 #[derive(Clone)]
 pub struct SharedWorld {
-    jobs: Sender<Job>,
+    jobs: Arc<Sender<Job>>,
     clock: Arc<Clock>,
     pace: Pace,
 }
@@ -120,7 +120,7 @@ impl SharedWorld {
                 found: e.to_string(),
                 expected: "a thread for the simulated world",
             })?;
-        Ok(Self { jobs, clock, pace })
+        Ok(Self { jobs: Arc::new(jobs), clock, pace })
     }
 
     /// Seconds on the world's clock.
@@ -166,13 +166,26 @@ impl SharedWorld {
         self.with(move |world| world.add_hand(hand, &world_from_hand, &coordinates)).await
     }
 
-    /// Lets this many seconds go by on the world's clock.
+    /// Lets this many seconds go by on the world's clock. Waits as long as the world is paused.
     ///
     /// # Errors
     /// [`WorldEnded`].
     pub async fn wait(&self, seconds: f64) -> Result<(), WorldEnded> {
         let until_s = self.time_s() + seconds.max(0.0);
         self.wait_until(until_s).await
+    }
+
+    /// Lets this many seconds go by and then stops the clock until the answer is dropped: to press a button, or to
+    /// change a fault, at an exact moment of somebody else's motion.
+    ///
+    /// # Errors
+    /// [`WorldEnded`].
+    pub async fn hold_after(&self, seconds: f64) -> Result<Hold, WorldEnded> {
+        let until_s = self.time_s() + seconds.max(0.0);
+        let (reply, answer) = oneshot::channel();
+        let (clock, jobs) = (self.clock.clone(), Arc::downgrade(&self.jobs));
+        self.send(Box::new(move |stage| stage.start(HoldAt { until_s, reply: Some(reply), clock, jobs })))?;
+        answer.await.map_err(|_| WorldEnded)
     }
 
     pub(crate) async fn wait_until(&self, until_s: f64) -> Result<(), WorldEnded> {
@@ -234,7 +247,7 @@ impl SharedWorld {
                 biased;
                 answer = &mut call => return answer,
                 () = tokio::time::sleep(timeout) => {
-                    let moves = self.time_s() > before_s && !self.clock.is_paused();
+                    let moves = self.time_s() > before_s && !self.clock.stands();
                     if self.pace != Pace::OnDemand || !moves {
                         return Err(DeviceError::Timeout { device: device.into(), operation, after: timeout });
                     }
@@ -263,6 +276,49 @@ pub(crate) type Reply<R> = oneshot::Sender<Result<R, DeviceError>>;
 /// What a caller hears of a world that has ended.
 pub(crate) fn ended(device: &str) -> DeviceError {
     DeviceError::Disconnected { device: device.into(), detail: WorldEnded.to_string() }
+}
+
+/// The clock of a world stands still until this is dropped. Calls that need time go on then, or end with their
+/// timeout (wall clock).
+#[derive(Debug)]
+pub struct Hold {
+    clock: Arc<Clock>,
+    jobs: Weak<Sender<Job>>,
+}
+
+impl Drop for Hold {
+    fn drop(&mut self) {
+        self.clock.release();
+        if let Some(jobs) = self.jobs.upgrade() {
+            // A world that has ended needs no waking.
+            let _ended = jobs.send(Box::new(|_| ()));
+        }
+    }
+}
+
+/// Stops the clock at a time.
+struct HoldAt {
+    until_s: f64,
+    reply: Option<oneshot::Sender<Hold>>,
+    clock: Arc<Clock>,
+    jobs: Weak<Sender<Job>>,
+}
+
+impl Process for HoldAt {
+    fn after_step(&mut self, world: &mut World) -> bool {
+        if self.reply.as_ref().is_none_or(oneshot::Sender::is_closed) {
+            return true;
+        }
+        if world.time_s() + 0.5 * world.settings().dt_s < self.until_s {
+            return false;
+        }
+        if let Some(reply) = self.reply.take() {
+            self.clock.hold();
+            // Where nobody hears of it, the hold is dropped and ends.
+            let _unheard = reply.send(Hold { clock: self.clock.clone(), jobs: self.jobs.clone() });
+        }
+        true
+    }
 }
 
 /// Lets time go by.

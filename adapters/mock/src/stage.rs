@@ -81,7 +81,7 @@ pub(crate) fn run(mut stage: Stage, jobs: &Receiver<Job>, clock: &Arc<Clock>, pa
                 Err(TryRecvError::Disconnected) => return,
             }
         }
-        let next = if clock.is_paused() {
+        let next = if clock.stands() {
             // Time that passes during a pause is not caught up with.
             pacer = Pacer { since: Instant::now(), at_s: stage.world.time_s() };
             Next::Sleep

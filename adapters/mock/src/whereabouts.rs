@@ -1,7 +1,7 @@
 //! What is where in a shared world: by physics, never by what a device or a cell believes.
 
 use graspd_sim::camera::Pinhole;
-use graspd_sim::render::{self, View};
+use graspd_sim::render::{self, RgbImage, View};
 use graspd_sim::scene;
 use graspd_sim::world::{HandId, ObjectId, Tray, World};
 use nalgebra::{Isometry3, Point3};
@@ -91,6 +91,18 @@ impl SharedWorld {
     /// [`WorldEnded`].
     pub async fn view(&self, lens: Pinhole, world_from_camera: Isometry3<f64>) -> Result<View, WorldEnded> {
         self.with(move |world| render::capture(world, &lens, &world_from_camera)).await
+    }
+
+    /// A picture of the world for people, from a pose.
+    ///
+    /// # Errors
+    /// [`WorldEnded`].
+    pub async fn picture(
+        &self,
+        lens: Pinhole,
+        world_from_camera: Isometry3<f64>,
+    ) -> Result<RgbImage, WorldEnded> {
+        self.with(move |world| render::picture(world, &lens, &world_from_camera)).await
     }
 }
 

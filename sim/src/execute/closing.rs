@@ -68,15 +68,7 @@ impl Closing {
                 hand.pads.iter().filter(|p| links.contains(&p.link)).map(|p| p.finger).collect();
             fingers.dedup();
             let limit = if sign > 0.0 { c.upper } else { c.lower };
-            closers.push(Closer {
-                actuator: a,
-                links,
-                fingers,
-                limit,
-                squeeze,
-                shared: false,
-                beyond: 0.0,
-            });
+            closers.push(Closer { actuator: a, links, fingers, limit, squeeze, shared: false, beyond: 0.0 });
         }
         for at in 0..closers.len() {
             closers[at].shared = (0..closers.len()).any(|other| {

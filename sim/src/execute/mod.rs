@@ -2,6 +2,8 @@
 
 mod closing;
 mod run;
+#[cfg(test)]
+mod tests;
 
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -75,7 +77,7 @@ pub struct ExecuteSettings {
 impl Default for ExecuteSettings {
     fn default() -> Self {
         Self {
-            grip_force: 0.5,
+            grip_force: 0.7,
             approach_m_s: 0.1,
             lift_m: 0.15,
             lift_m_s: 0.15,

@@ -24,13 +24,15 @@ const SLIPPED_M: f64 = 0.01;
 const FORCE_S: f64 = 0.01;
 /// By this time fingers have reached their commanded squeeze, or are held, seconds.
 const REACHED_S: f64 = 0.8;
+/// Stillness after the shake, seconds.
+const CALM_S: f64 = 0.3;
 /// Time between looks at which fingers touch, seconds.
 const LOOK_S: f64 = 0.02;
 
 /// Executes a grasp with a hand that is in the world; `watch` is called at each [`Moment`].
 ///
-/// The hand goes to the pre-grasp if it is not there (straight: best put it there with the coordinates of `open`),
-/// approaches until it arrives or something resists, closes all fingers at once until each is held, lifts, holds,
+/// The hand goes to the pre-grasp if it is not there (up, across and down at 0.25 m/s; best put it there with the
+/// coordinates of `open`), approaches until it arrives or something resists, closes all fingers at once until each is held, lifts, holds,
 /// and shakes. Nothing but the objects' poses decides whether that succeeded. The hand stays at the end of its
 /// motion, with whatever it holds. A hand that is not in the world holds nothing: [`Failure::UnstableContact`].
 pub fn execute(
@@ -124,10 +126,22 @@ impl Run<'_> {
     fn reach(&mut self, grasp: &GraspCommand) {
         let open = Command::Close { actuators: grasp.open.clone(), force: 1.0, speed: 1.0 };
         self.world.command(self.hand, open);
-        self.go(&grasp.world_from_pregrasp, REACH_M_S);
-        for _ in 0..self.steps(10.0) {
-            let Some(state) = self.world.hand_state(self.hand) else { return };
-            if state.arrived && state.settled {
+        let (from, to) = (self.wrist(), grasp.world_from_pregrasp);
+        // Up, across, down: over whatever stands between.
+        let top = from.translation.z.max(to.translation.z);
+        let (mut up, mut across) = (from, to);
+        up.translation.z = top;
+        across.translation.z = top;
+        for via in [up, across, to] {
+            self.go(&via, REACH_M_S);
+            self.step_until(10.0, |arrived, settled| arrived && settled);
+        }
+    }
+
+    /// Steps until the wrist has arrived and the fingers have settled as asked, or time is up.
+    fn step_until(&mut self, limit_s: f64, done: fn(bool, bool) -> bool) {
+        for _ in 0..self.steps(limit_s) {
+            if self.world.hand_state(self.hand).is_none_or(|s| done(s.arrived, s.settled)) {
                 return;
             }
             self.world.step();
@@ -201,12 +215,8 @@ impl Run<'_> {
         let mut to = self.wrist();
         to.translation.vector.z += self.settings.lift_m;
         self.go(&to, self.settings.lift_m_s);
-        for _ in 0..self.steps(10.0 * self.settings.lift_m / self.settings.lift_m_s.max(1e-3) + 1.0) {
-            if self.world.hand_state(self.hand).is_none_or(|s| s.arrived) {
-                break;
-            }
-            self.world.step();
-        }
+        let limit_s = 3.0 * self.settings.lift_m / self.settings.lift_m_s.max(1e-3) + 1.0;
+        self.step_until(limit_s, |arrived, _| arrived);
         for _ in 0..self.steps(self.settings.hold_s) {
             self.world.step();
         }
@@ -231,7 +241,7 @@ impl Run<'_> {
             }
         }
         self.world.guide(self.hand, &center);
-        for _ in 0..self.steps(0.1) {
+        for _ in 0..self.steps(CALM_S) {
             self.world.step();
         }
     }
@@ -260,7 +270,7 @@ impl Run<'_> {
         })
     }
 
-    /// Height of every object, and of the wrist.
+    /// Height of every object.
     fn heights(&self) -> Vec<(ObjectId, f64)> {
         let ids = self.world.ids().into_iter();
         ids.filter_map(|id| Some((id, self.world.pose(id)?.translation.z))).collect()

@@ -184,6 +184,10 @@ impl World {
 
     /// One step of [`WorldSettings::dt_s`].
     pub fn step(&mut self) {
+        // Fingers squeeze light links between stiff springs: one more pass takes the velocities that pushing apart
+        // overlaps has left in their joints.
+        let passes = if self.hands.is_empty() { 1 } else { 2 };
+        self.physics.integration_parameters.num_internal_stabilization_iterations = passes;
         for hand in &mut self.hands {
             hand.drive(&mut self.physics, &self.settings.hands, self.settings.dt_s);
         }
@@ -193,6 +197,50 @@ impl World {
 
     fn placed(&self, id: ObjectId) -> Option<&Placed> {
         self.objects.iter().find(|p| p.id == id)
+    }
+}
+
+/// Objects for the tests of this crate's worlds.
+#[cfg(test)]
+pub(crate) mod samples {
+    use super::*;
+    use crate::mesh::Mesh;
+    use crate::object::Surface;
+
+    /// A convex object from its corners.
+    pub(crate) fn convex(name: &str, points: Vec<Point3<f64>>, mass_kg: f64, friction: f64) -> Arc<Object> {
+        let mesh = Mesh { vertices: points.clone(), triangles: Vec::new() };
+        let surface = Surface::default();
+        Arc::new(Object {
+            name: name.into(),
+            mesh: mesh.into(),
+            parts: vec![points],
+            mass_kg,
+            friction,
+            surface,
+        })
+    }
+
+    /// A box with these half extents.
+    pub(crate) fn cuboid(half: [f64; 3], mass_kg: f64, friction: f64) -> Arc<Object> {
+        convex("box", Mesh::cuboid(half.into()).vertices, mass_kg, friction)
+    }
+
+    /// A cylinder along z.
+    pub(crate) fn cylinder(radius: f64, half: f64, mass_kg: f64) -> Arc<Object> {
+        let ring = (0..32).map(|k| f64::from(k) * std::f64::consts::TAU / 32.0);
+        let at = |a: f64, z: f64| Point3::new(radius * a.cos(), radius * a.sin(), z);
+        convex("cylinder", ring.flat_map(|a| [at(a, -half), at(a, half)]).collect(), mass_kg, 0.5)
+    }
+
+    /// A ball.
+    pub(crate) fn ball(radius: f64, mass_kg: f64) -> Arc<Object> {
+        let step = std::f64::consts::PI / 16.0;
+        let at = |i: i32, k: i32| {
+            let (a, b) = (f64::from(i) * step, f64::from(k) * step);
+            Point3::from(radius * Vector3::new(a.sin() * b.cos(), a.sin() * b.sin(), a.cos()))
+        };
+        convex("ball", (0..=16).flat_map(|i| (0..32).map(move |k| at(i, k))).collect(), mass_kg, 0.5)
     }
 }
 

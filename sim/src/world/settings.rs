@@ -62,6 +62,9 @@ pub struct HandSettings {
     pub armature_kg: f64,
     /// Force at the fingertips of an actuator whose effort nobody published, newtons.
     pub fingertip_force_n: f64,
+    /// Largest force at the fingertips of a revolute actuator, newtons: efforts in URDFs are often placeholders
+    /// (30 N m for a Barrett finger that presses with 20 N), and no hand of this size presses harder.
+    pub most_fingertip_force_n: f64,
     /// Largest speed of a revolute actuator, radians per second, also where a description names none.
     pub turn_rad_s: f64,
     /// Largest speed of a prismatic actuator, metres per second, also where a description names none.
@@ -98,6 +101,7 @@ impl Default for HandSettings {
             armature_kg_m2: 1e-4,
             armature_kg: 0.1,
             fingertip_force_n: 25.0,
+            most_fingertip_force_n: 80.0,
             turn_rad_s: 2.5,
             slide_m_s: 0.1,
             full_effort_rad: 0.2,

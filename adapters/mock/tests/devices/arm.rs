@@ -96,9 +96,9 @@ async fn a_stop_ends_the_motion_as_stopped() {
     let arm = arm(&shared, Faults::default()).await;
     let goal = down(0.25, 0.0, 0.25);
     let (motion, stop) = tokio::join!(arm.move_linear(&goal, LIMITS, TEN), async {
-        shared.wait(0.5).await.unwrap();
+        let held = shared.hold_after(0.5).await.unwrap();
         assert_eq!(arm.state(SECOND).await.unwrap().mode, ArmMode::Moving);
-        arm.stop(SECOND).await
+        tokio::join!(arm.stop(SECOND), async { drop(held) }).0
     });
     assert!(matches!(motion, Err(DeviceError::Stopped { operation: "move_linear", .. })), "{motion:?}");
     stop.unwrap();
@@ -115,8 +115,8 @@ async fn a_newer_motion_replaces_or_is_refused_as_the_capability_says() {
         assert_eq!(arm.info().replaces_motion, replaces_motion);
         let (first, second) = (down(0.2, 0.0, 0.25), down(-0.1, 0.0, 0.25));
         let (one, two) = tokio::join!(arm.move_linear(&first, LIMITS, TEN), async {
-            shared.wait(0.3).await.unwrap();
-            arm.move_linear(&second, LIMITS, TEN).await
+            let held = shared.hold_after(0.3).await.unwrap();
+            tokio::join!(arm.move_linear(&second, LIMITS, TEN), async { drop(held) }).0
         });
         let at = arm.state(SECOND).await.unwrap().world_from_flange;
         if replaces_motion {
@@ -183,7 +183,7 @@ async fn an_emergency_stop_needs_a_person() {
     // Pressed by hand in the middle of a motion.
     let back = down(0.0, 0.0, 0.25);
     let (motion, ()) = tokio::join!(arm.move_to(&back, LIMITS, TEN), async {
-        shared.wait(0.2).await.unwrap();
+        let _held = shared.hold_after(0.2).await.unwrap();
         arm.faults().update(|f| f.emergency_stop = true).unwrap();
     });
     assert_eq!(kind(&motion.unwrap_err()), Some(FaultKind::EmergencyStop));

@@ -1,9 +1,14 @@
 //! Hands: gripping, feeling, faults.
 
+use std::f64::consts::PI;
+use std::sync::Arc;
 use std::time::Duration;
 
 use graspd_adapters_core::{Arm, DeviceError, FaultKind, GripCommand, Hand};
-use graspd_adapters_mock::{Faults, HandSettings, MockHand, Overload, SharedWorld, Spell};
+use graspd_adapters_mock::{
+    ArmSettings, Faults, HandSettings, MockArm, MockHand, Overload, SharedWorld, Spell,
+};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::fixtures::{LIMITS, SECOND, TEN, arm, close, down, fingers, gripper, shared};
 
@@ -112,8 +117,9 @@ async fn a_second_grip_is_refused_while_one_runs() {
     let (shared, hand) = hand_in_the_air(Faults::default()).await;
     let slow = GripCommand { speed: 0.1, ..close(0.05) };
     let (first, second) = tokio::join!(hand.grip(&slow, TEN), async {
-        shared.wait(0.1).await.unwrap();
-        hand.grip(&close(0.0), TEN).await
+        let held = shared.hold_after(0.1).await.unwrap();
+        let command = close(0.0);
+        tokio::join!(hand.grip(&command, TEN), async { drop(held) }).0
     });
     assert!((first.unwrap().actuators[0] - 0.05).abs() < 1e-3);
     assert!(matches!(second, Err(DeviceError::Busy { .. })), "{second:?}");
@@ -143,4 +149,42 @@ async fn dropping_a_grip_stops_the_fingers() {
     shared.wait(1.0).await.unwrap();
     assert!(hand.state(SECOND).await.unwrap().actuators[0] < 0.005);
     assert!((hand.grip(&close(0.02), TEN).await.unwrap().actuators[0] - 0.02).abs() < 1e-3);
+}
+
+#[tokio::test]
+async fn an_answer_that_is_lost_does_not_undo_what_was_done() {
+    let (shared, hand) = hand_in_the_air(Faults::default()).await;
+    let command = close(0.04);
+    let (lost, ()) = tokio::join!(hand.grip(&command, TEN), async {
+        let _held = shared.hold_after(0.1).await.unwrap();
+        hand.faults().update(|f| f.silent = Some(Spell::Seconds(9.0))).unwrap();
+    });
+    let DeviceError::Timeout { after, .. } = lost.unwrap_err() else { panic!("an answer came") };
+    assert_eq!(after, TEN);
+    assert!((hand.state(SECOND).await.unwrap().actuators[0] - 0.04).abs() < 1e-3);
+}
+
+#[tokio::test]
+async fn fingers_that_are_pressed_against_something_still_come_to_an_end() {
+    let shared = shared(0.0);
+    let described = Arc::new(graspd_hands::library::hand("finray-2f").unwrap().clone());
+    let turn = UnitQuaternion::rotation_between(&described.approach, &-Vector3::z_axis());
+    let turn = turn.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
+    // The middle of the first finger's pad above the box, then two centimetres into it.
+    let links = described
+        .tree
+        .link_poses(&described.tree.body_poses(&described.actuation.joints(&described.actuation.open())));
+    let pad = turn * (links[described.pads[0].link] * described.pads[0].center).coords;
+    let at = |z: f64| Isometry3::from_parts((Vector3::new(0.0, 0.0, z) - pad).into(), turn);
+    let id = shared.add_hand(described.clone(), at(0.2), None).await.unwrap();
+    let arm = MockArm::new(&shared, id, ArmSettings::default(), Faults::default()).unwrap();
+    let hand = fingers(&shared, id, Faults::default()).await;
+    let pressed = arm.move_linear(&at(0.03), LIMITS, TEN).await;
+    assert!(
+        matches!(pressed, Err(DeviceError::Fault { kind: FaultKind::ProtectiveStop, .. })),
+        "{pressed:?}"
+    );
+    let began_s = shared.time_s();
+    let state = hand.grip(&close(described.actuation.closed()[0]), TEN).await.unwrap();
+    assert!(state.settled && shared.time_s() - began_s < 3.0);
 }

@@ -1,8 +1,12 @@
 //! Mock devices in a shared world: what they promise, and every fault as the caller sees it.
 
+#[cfg(test)]
 mod arm;
+#[cfg(test)]
 mod camera;
 #[cfg(test)]
 mod fixtures;
+#[cfg(test)]
 mod hand;
+#[cfg(test)]
 mod world;

@@ -1,11 +1,18 @@
 //! The shared world itself: where things are, what time does, whether it all repeats.
 
-use graspd_adapters_core::{Arm, Hand};
-use graspd_adapters_mock::{Bin, Census, Faults, SharedWorld, SharedWorldSettings};
+use std::sync::Arc;
+use std::time::Duration;
+
+use graspd_adapters_core::{Arm, DepthCamera, DeviceError, GripCommand, Hand};
+use graspd_adapters_mock::{
+    ArmSettings, Bin, Census, Faults, MockArm, SharedWorld, SharedWorldSettings, WorldEnded,
+};
 use graspd_sim::scene;
 use nalgebra::Isometry3;
 
-use crate::fixtures::{LIMITS, TEN, arm, box_in_tray, close, cuboid, down, fingers, lens, shared};
+use crate::fixtures::{
+    HALF, LIMITS, TEN, arm, box_in_tray, camera, close, cuboid, down, fingers, lens, shared,
+};
 
 /// Grips the box, carries it to a place, lets go.
 async fn carry(shared: &SharedWorld, x: f64, z: f64) -> Census {
@@ -68,6 +75,8 @@ async fn the_world_can_be_looked_at_and_saved() {
     let view = shared.view(lens(), Isometry3::new([0.0, 0.0, 0.5].into(), [3.1415927, 0.0, 0.0].into()));
     let view = view.await.unwrap();
     assert!((view.depth_m[24 * 64 + 32] - 0.45).abs() < 1e-3);
+    let picture = shared.picture(lens(), view.world_from_camera).await.unwrap();
+    assert_eq!((picture.width, picture.height, picture.pixels.len()), (64, 48, 64 * 48));
 }
 
 #[tokio::test]
@@ -80,4 +89,68 @@ async fn impossible_settings_are_named() {
     let bins = vec![bin];
     let field = make(SharedWorldSettings { bins, ..SharedWorldSettings::default() }).unwrap_err();
     assert_eq!(field, "bins.bin.half_extents_m");
+}
+
+#[tokio::test]
+async fn a_hold_stops_the_clock_at_an_exact_moment_until_it_is_dropped() {
+    let shared = shared(0.0);
+    let (went_on, ()) = tokio::join!(shared.wait(2.0), async {
+        let held = shared.hold_after(0.5).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        assert!((shared.time_s() - 0.5).abs() < 1e-9, "{}", shared.time_s());
+        drop(held);
+    });
+    went_on.unwrap();
+    // One that is given up holds nothing.
+    assert!(tokio::time::timeout(Duration::ZERO, shared.hold_after(1e9)).await.is_err());
+    shared.wait(1.0).await.unwrap();
+    let still_s = shared.time_s();
+    tokio::time::sleep(Duration::from_millis(30)).await;
+    assert_eq!(shared.time_s(), still_s);
+}
+
+#[tokio::test]
+async fn two_arms_with_different_hands_work_in_one_world() {
+    let shared = shared(0.0);
+    let place = Isometry3::translation(0.1, 0.1, HALF[2]);
+    shared.with(move |world| world.add(cuboid(), &place)).await.unwrap();
+    let first = arm(&shared, Faults::default()).await;
+    let leap = Arc::new(graspd_hands::library::hand("leap").unwrap().clone());
+    let mounted = shared.add_hand(leap.clone(), down(-0.1, -0.1, 0.35), None).await.unwrap();
+    let settings = ArmSettings { name: "second arm".into(), ..ArmSettings::default() };
+    let second = MockArm::new(&shared, mounted, settings, Faults::default()).unwrap();
+    let fingers_of_leap = fingers(&shared, mounted, Faults::default()).await;
+    assert_eq!(fingers_of_leap.info().actuators.len(), 16);
+    let fist = GripCommand { actuators: leap.actuation.closed(), speed: 1.0, force: 0.5 };
+    let hand = fingers(&shared, first.hand(), Faults::default()).await;
+    let pick = async {
+        first.move_linear(&down(0.0, 0.0, 0.08), LIMITS, TEN).await.unwrap();
+        hand.grip(&close(0.06), TEN).await.unwrap();
+        first.move_linear(&down(0.0, 0.0, 0.2), LIMITS, TEN).await.unwrap();
+    };
+    let wave = async {
+        second.move_to(&down(-0.1, -0.1, 0.45), LIMITS, TEN).await.unwrap();
+        fingers_of_leap.grip(&fist, TEN).await.unwrap()
+    };
+    let ((), state) = tokio::join!(pick, wave);
+    assert!(state.settled);
+    let census = shared.census().await.unwrap();
+    assert_eq!((census.held.len(), census.tray.len(), census.total()), (1, 1, 2), "{census:?}");
+    assert_eq!(census.held[0].0, first.hand());
+}
+
+#[tokio::test]
+async fn devices_of_a_world_that_has_ended_are_disconnected() {
+    let shared = shared(0.0);
+    let camera = camera(&shared, Faults { drop_share: 1.0, ..Faults::default() });
+    let arm = arm(&shared, Faults::default()).await;
+    let second = Duration::from_secs(1);
+    let (capture, ended) = tokio::join!(camera.capture(second, 100_000 * second), async {
+        shared.with::<()>(|_| std::panic::resume_unwind(Box::new("a step that fails"))).await
+    });
+    assert_eq!(ended, Err(WorldEnded));
+    for error in [capture.unwrap_err(), arm.state(second).await.unwrap_err()] {
+        assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
+    }
+    assert_eq!(shared.objects().await, Err(WorldEnded));
 }

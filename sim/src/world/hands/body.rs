@@ -16,6 +16,9 @@ use super::drive::{Drives, Role};
 use crate::convert;
 use crate::world::HandSettings;
 
+/// A convex solid and its pose in the frame of its body.
+type Solid = (Isometry3<f64>, SharedShape);
+
 /// The parts of a hand in the physics engine.
 #[derive(Debug)]
 pub(super) struct HandBody {
@@ -48,7 +51,7 @@ impl HandBody {
         let tree = &hand.tree;
         let poses = tree.body_poses(q);
         let mut out = Self { bodies: Vec::new(), colliders: Vec::new(), joints: Vec::new() };
-        let shapes: Vec<(usize, usize, Vec<(Isometry3<f64>, SharedShape)>)> =
+        let shapes: Vec<(usize, usize, Vec<Solid>)> =
             hand.collision.iter().map(|c| (tree.links[c.link].body, c.link, solids(tree, c))).collect();
         for (index, pose) in poses.iter().enumerate() {
             let own = shapes.iter().filter(|s| s.0 == index).flat_map(|s| &s.2);
@@ -177,28 +180,13 @@ impl HandBody {
 
     /// Joint positions.
     pub(super) fn positions(&self, physics: &PhysicsWorld, tree: &Tree) -> Vec<f64> {
-        self.each(physics, tree, |multibody, link, joint| {
-            multibody.link(link).map_or(0.0, |l| l.joint.coords()[axis(joint)])
-        })
-    }
-
-    /// Joint velocities.
-    pub(super) fn velocities(&self, physics: &PhysicsWorld, tree: &Tree) -> Vec<f64> {
-        self.each(physics, tree, |multibody, link, _| {
-            multibody.link(link).map_or(0.0, |l| multibody.joint_velocity(l)[0])
-        })
-    }
-
-    fn each(
-        &self,
-        physics: &PhysicsWorld,
-        tree: &Tree,
-        value: impl Fn(&Multibody, usize, &Joint) -> f64,
-    ) -> Vec<f64> {
         self.joints
             .iter()
             .zip(&tree.joints)
-            .map(|(&h, joint)| physics.multibody_joints.get(h).map_or(0.0, |(m, link)| value(m, link, joint)))
+            .map(|(&h, joint)| {
+                let link = physics.multibody_joints.get(h).and_then(|(multibody, link)| multibody.link(link));
+                link.map_or(0.0, |l| l.joint.coords()[axis(joint)])
+            })
             .collect()
     }
 
@@ -240,7 +228,7 @@ fn generic(joint: &Joint, parent_from_joint: &Isometry3<f64>, limited: bool) -> 
 }
 
 /// A collision shape as convex solids in the frame of its body.
-fn solids(tree: &Tree, collision: &CollisionShape) -> Vec<(Isometry3<f64>, SharedShape)> {
+fn solids(tree: &Tree, collision: &CollisionShape) -> Vec<Solid> {
     let at = tree.links[collision.link].body_from_link * collision.link_from_shape;
     match &collision.shape {
         Shape::Box { half_extents: h } => vec![(at, SharedShape::cuboid(h.x, h.y, h.z))],
@@ -281,7 +269,7 @@ fn mesh(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Vec<SharedShape> {
 
 /// Mass, centre and inertia of a body from its volume; the root weighs what the arm shows at the wrist.
 fn mass_of<'a>(
-    solids: impl Iterator<Item = &'a (Isometry3<f64>, SharedShape)>,
+    solids: impl Iterator<Item = &'a Solid>,
     root: bool,
     settings: &HandSettings,
 ) -> MassProperties {

@@ -143,7 +143,7 @@ fn carriers(hand: &Hand, joint: usize) -> Vec<usize> {
 /// Of the joints of a coordinate in this joint's chain, the one nearest to the palm.
 fn first_of_chain(hand: &Hand, coordinate: usize, joint: usize) -> usize {
     let depends = |j: &usize| hand.actuation.rows[*j].terms.iter().any(|&(i, _)| i == coordinate);
-    carriers(hand, joint).into_iter().filter(depends).next_back().unwrap_or(joint)
+    carriers(hand, joint).into_iter().rfind(depends).unwrap_or(joint)
 }
 
 fn adaptive(hand: &Hand, leads: &[Option<usize>], joint: usize, coordinate: usize) -> Adaptive {
@@ -203,11 +203,12 @@ fn servo(hand: &Hand, settings: &HandSettings, j: usize, joint: &Joint) -> Servo
         .filter_map(|&(i, c)| Some(known(&coordinates[i])? / c.abs().max(0.1)))
         .reduce(f64::max);
     let own = (joint.effort > 0.0).then_some(joint.effort);
-    let guess = match joint.kind {
-        JointKind::Revolute => settings.fingertip_force_n * lever(hand, j),
-        JointKind::Prismatic => settings.fingertip_force_n,
+    let lever = lever(hand, j);
+    let (guess, most) = match joint.kind {
+        JointKind::Revolute => (settings.fingertip_force_n * lever, settings.most_fingertip_force_n * lever),
+        JointKind::Prismatic => (settings.fingertip_force_n, f64::INFINITY),
     };
-    let effort = stated.or(own).unwrap_or(guess);
+    let effort = stated.or(own).unwrap_or(guess).min(most);
     let (most, error) = match joint.kind {
         JointKind::Revolute => (settings.turn_rad_s, settings.full_effort_rad),
         JointKind::Prismatic => (settings.slide_m_s, settings.full_effort_m),

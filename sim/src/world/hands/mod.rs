@@ -3,6 +3,8 @@
 mod body;
 mod drive;
 mod motors;
+#[cfg(test)]
+mod tests;
 mod wrist;
 
 use std::sync::Arc;

@@ -36,6 +36,8 @@ pub(super) struct Motors {
     handed: Vec<f64>,
     /// Where each joint has been driven to, and in which direction: gears do not let it be pushed back from there.
     latched: Vec<Option<(f64, f64)>>,
+    /// Joint positions before the last step: the engine's velocities still carry what pushes overlaps apart.
+    before: Vec<f64>,
     /// How long every actuator has been at rest, seconds.
     rest_s: f64,
 }
@@ -52,6 +54,7 @@ impl Motors {
             exerted: vec![0.0; joints],
             handed: vec![0.0; joints],
             latched: vec![None; joints],
+            before: hand.actuation.joints(u),
             rest_s: 0.0,
         }
     }
@@ -124,7 +127,8 @@ impl Motors {
         dt: f64,
     ) {
         let q = body.positions(physics, &hand.tree);
-        let speeds = body.velocities(physics, &hand.tree);
+        let speeds: Vec<f64> = q.iter().zip(&self.before).map(|(now, before)| (now - before) / dt).collect();
+        self.before.clone_from(&q);
         let u = self.coordinates(hand, drives, &q);
         for (j, role) in drives.roles.iter().enumerate() {
             if matches!(role, Role::Lead { .. } | Role::Follower { pulled_by: Some(_), .. }) {
