@@ -7,7 +7,7 @@ use std::sync::Arc;
 use graspd_hands::Shape;
 use graspd_sim::camera::look_at;
 use graspd_sim::mesh::Mesh;
-use graspd_sim::object::{Object, Surface};
+use graspd_sim::object::{Object, Source, Surface};
 use graspd_sim::render::{RgbImage, capture, depth_picture, picture, solids};
 use graspd_sim::sensor::Sensor;
 use graspd_sim::world::{Tray, World, WorldSettings};
@@ -34,8 +34,15 @@ fn world() -> World {
     let solid = |shape: Shape| solids::triangulate(&shape).into_mesh();
     let mut add = |mesh: Mesh, surface: Surface, at: [f64; 3], turn: [f64; 3]| {
         let parts = vec![mesh.vertices.clone()];
-        let object =
-            Object { name: "solid".into(), mesh: mesh.into(), parts, mass_kg: 0.2, friction: 0.5, surface };
+        let object = Object {
+            name: "solid".into(),
+            mesh: mesh.into(),
+            parts,
+            mass_kg: 0.2,
+            friction: 0.5,
+            surface,
+            source: Source::Mesh,
+        };
         world.add(Arc::new(object), &Isometry3::new(Vector3::from(at), Vector3::from(turn)));
     };
     let matt = Surface { albedo: 0.6, specular: 0.0 };

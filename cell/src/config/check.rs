@@ -87,6 +87,8 @@ impl CellConfig {
             t.wall_clearance_m >= 0.0 && 2.0 * t.wall_clearance_m < t.width_m.min(t.length_m),
             "0 or more, less than half the tray",
         )?;
+        let floor = t.floor_clearance_m;
+        inside("tray.floor_clearance_m", floor, (0.0..=0.05).contains(&floor), "0 to 0.05")?;
         positive("tray.height_m", t.height_m, t.volume_m)?;
         positive("motion.travel_height_m", self.motion.travel_height_m, 5.0)?;
         positive("motion.lift_m", self.motion.lift_m, 2.0)?;

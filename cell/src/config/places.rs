@@ -25,9 +25,12 @@ pub struct TrayConfig {
     pub height_m: f64,
     /// Contacts nearer than this to a wall are not grasped, metres.
     pub wall_clearance_m: f64,
+    /// The planner is told that the floor is so much higher than it is, metres: room for the errors of calibration and
+    /// depth that make hands meet the floor (Supplementary Fig. 8b).
+    pub floor_clearance_m: f64,
     /// Edge of the volume that the planner looks at, metres.
     pub volume_m: f64,
-    /// Let the planner find the floor's height in each frame instead of trusting `position_m`.
+    /// Let the planner find the floor's height in each frame instead of trusting `position_m` and `floor_clearance_m`.
     pub find_floor: bool,
 }
 
@@ -41,6 +44,7 @@ impl Default for TrayConfig {
             length_m: 0.36,
             height_m: 0.25,
             wall_clearance_m: 0.004,
+            floor_clearance_m: 0.003,
             volume_m: 0.4,
             find_floor: false,
         }
@@ -60,7 +64,7 @@ impl TrayConfig {
         WorkspaceRecord {
             pose: PoseRecord::from(&self.pose(-half, -half, -FLOOR_IN_VOLUME_M)),
             size_m: self.volume_m,
-            table_height_m: (!self.find_floor).then_some(FLOOR_IN_VOLUME_M),
+            table_height_m: (!self.find_floor).then_some(FLOOR_IN_VOLUME_M + self.floor_clearance_m),
         }
     }
 

@@ -188,22 +188,40 @@ impl Run<'_> {
         self.within(Who::Hand, &info.name, "grip", limit, hand.grip(&command, limit)).await
     }
 
-    /// Opens the hand as the grasp asks, or wide where there is no grasp.
+    /// Moves the fingers where they may meet things: a hand that answers, and whose fingers only do not come to rest
+    /// in time, has done what it could. What it holds is asked in another step.
+    pub(super) async fn grip_against(&self, names: &[String], positions: &[f64]) -> Result<(), Problem> {
+        let Err(problem) = self.grip(names, positions).await else { return Ok(()) };
+        if problem.trouble == Trouble::NoAnswer && self.hand_state().await.is_ok() {
+            tracing::info!(text = problem.text, "the hand answers; going on");
+            return Ok(());
+        }
+        Err(problem)
+    }
+
+    async fn hand_state(&self) -> Result<HandState, Problem> {
+        let (hand, limit) = (&self.cell.hand, seconds(self.config.timeouts.state_s));
+        self.within(Who::Hand, &hand.info().name, "state", limit, hand.state(limit)).await
+    }
+
+    /// Opens the hand.
     pub(super) async fn open_hand(&self) -> Result<HandState, Problem> {
+        let (names, open) = self.open_posture();
+        self.grip(&names, &open).await
+    }
+
+    /// As the grasp asks, or wide where there is no grasp.
+    pub(super) fn open_posture(&self) -> (Vec<String>, Vec<f64>) {
         match self.attempt.grasp() {
-            Some((_, grasp)) => self.grip(&grasp.actuators, &grasp.open).await,
-            None => {
-                let (names, open): (Vec<_>, Vec<_>) = self.facts.actuators.iter().cloned().unzip();
-                self.grip(&names, &open).await
-            }
+            Some((_, grasp)) => (grasp.actuators.clone(), grasp.open.clone()),
+            None => self.facts.actuators.iter().cloned().unzip(),
         }
     }
 
     /// True when the hand feels an object. A hand without touch tells by fingers that stay short of their targets.
     pub(super) async fn feels(&self) -> Result<bool, Problem> {
-        let (hand, limit) = (&self.cell.hand, seconds(self.config.timeouts.state_s));
-        let info = hand.info();
-        let state = self.within(Who::Hand, &info.name, "state", limit, hand.state(limit)).await?;
+        let info = self.cell.hand.info();
+        let state = self.hand_state().await?;
         if info.feels_contact {
             return Ok(state.feels_object());
         }

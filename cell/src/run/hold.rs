@@ -9,7 +9,7 @@ impl Run<'_> {
     pub(super) async fn close(&mut self) -> Result<Next, Problem> {
         self.holding = Holding::Unknown;
         let grasp = self.chosen()?;
-        self.grip(&grasp.actuators, &grasp.squeezed).await?;
+        self.grip_against(&grasp.actuators, &grasp.squeezed).await?;
         Ok(Next::Go(Step::CheckContact))
     }
 
@@ -65,7 +65,8 @@ impl Run<'_> {
     pub(super) async fn retreat(&mut self) -> Result<Next, Problem> {
         self.stop_arm().await?;
         self.clear_fault(Who::Arm).await?;
-        self.open_hand().await?;
+        let (names, open) = self.open_posture();
+        self.grip_against(&names, &open).await?;
         self.holding = Holding::Nothing;
         if self.attempt.inside {
             let back = self.chosen()?.world_from_pregrasp.isometry();

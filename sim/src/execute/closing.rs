@@ -1,8 +1,9 @@
 //! How fingers close on whatever is between them: all at once, until each is held.
 //!
-//! A finger with one motor goes on until its force limit holds it (or it can go no further). A finger with several
-//! motors would curl into itself that way; it goes to the commanded squeeze, where its servos press like springs, and
-//! on in the same direction, all joints in proportion, until one of its motors is held.
+//! Fingers with one motor each go on until their force limits hold them (or they can go no further). Fingers with
+//! several motors would curl into themselves that way; in a hand that has such fingers each goes to the commanded
+//! squeeze, where its servos press like springs, and on in the same direction, all joints in proportion, until one
+//! of its motors is held.
 
 use graspd_hands::{CoordinateKind, Hand};
 
@@ -30,7 +31,7 @@ struct Closer {
     limit: f64,
     /// What the command goes beyond contact, with its sign.
     squeeze: f64,
-    /// True when another closing actuator moves one of its fingers too.
+    /// True when the hand has fingers of several motors.
     shared: bool,
     /// How far it has gone beyond the commanded squeeze, in squeezes.
     beyond: f64,
@@ -70,10 +71,12 @@ impl Closing {
             let limit = if sign > 0.0 { c.upper } else { c.lower };
             closers.push(Closer { actuator: a, links, fingers, limit, squeeze, shared: false, beyond: 0.0 });
         }
-        for at in 0..closers.len() {
-            closers[at].shared = (0..closers.len()).any(|other| {
-                other != at && closers[other].fingers.iter().any(|f| closers[at].fingers.contains(f))
-            });
+        let several = (0..closers.len())
+            .any(|a| (0..a).any(|b| closers[b].fingers.iter().any(|f| closers[a].fingers.contains(f))));
+        if several {
+            // One hand, one way: a thumb that pressed with all its force at once would push the object away from
+            // where fingers that press like springs expect it.
+            closers.iter_mut().for_each(|c| c.shared = true);
         }
         for closer in closers.iter().filter(|c| !c.shared) {
             targets[closer.actuator] = closer.limit;

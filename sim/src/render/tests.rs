@@ -8,7 +8,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::camera::look_at;
-use crate::object::Object;
+use crate::object::{Object, Source};
 use crate::world::{Tray, WorldSettings};
 
 const LENS: Pinhole =
@@ -152,6 +152,7 @@ fn a_world_is_seen_with_its_table_tray_and_objects() {
         mass_kg: 0.1,
         friction: 0.5,
         surface,
+        source: Source::Mesh,
     });
     let gone = world.add(object.clone(), &Isometry3::translation(0.1, 0.0, 0.02));
     let id = world.add(object, &Isometry3::translation(0.0, 0.0, 0.02));

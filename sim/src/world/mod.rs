@@ -205,7 +205,7 @@ impl World {
 pub(crate) mod samples {
     use super::*;
     use crate::mesh::Mesh;
-    use crate::object::Surface;
+    use crate::object::{Source, Surface};
 
     /// A convex object from its corners.
     pub(crate) fn convex(name: &str, points: Vec<Point3<f64>>, mass_kg: f64, friction: f64) -> Arc<Object> {
@@ -218,6 +218,7 @@ pub(crate) mod samples {
             mass_kg,
             friction,
             surface,
+            source: Source::Mesh,
         })
     }
 

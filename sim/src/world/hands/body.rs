@@ -13,8 +13,8 @@ use rapier3d_f64::prelude::{
 };
 
 use super::drive::{Drives, Role};
-use crate::convert;
 use crate::world::HandSettings;
+use crate::{convert, hull};
 
 /// A convex solid and its pose in the frame of its body.
 type Solid = (Isometry3<f64>, SharedShape);
@@ -245,9 +245,9 @@ fn solids(tree: &Tree, collision: &CollisionShape) -> Vec<Solid> {
 }
 
 /// A mesh as its convex hull where that adds little, else decomposed.
-fn mesh(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Vec<SharedShape> {
+pub(super) fn mesh(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Vec<SharedShape> {
     let points: Vec<_> = vertices.iter().map(convert::point).collect();
-    let Some(hull) = SharedShape::convex_hull(&points) else { return Vec::new() };
+    let Some(hull) = hull::shape(vertices) else { return Vec::new() };
     let volume: f64 = triangles
         .iter()
         .map(|t| {

@@ -148,8 +148,10 @@ fn a_gripper_presses_with_the_force_it_is_told() {
             let contacts = world.hand_contacts(placed);
             let own = contacts.iter().filter(|c| c.link == link && c.touched == Touched::Object(object));
             let pressed: f64 = own.map(|c| c.force_n).sum();
+            // The box stands on the table, whose friction may stand with either finger.
+            let table = 0.5 * 0.3 * 9.81;
             assert!(
-                (pressed - allowed).abs() < 0.2 * allowed,
+                (pressed - allowed).abs() < 0.2 * allowed + table,
                 "link {link} presses {pressed} of {allowed} N"
             );
         }
@@ -300,4 +302,45 @@ fn commands_that_make_no_sense_are_refused() {
     run(&mut world, 0.3);
     let state = world.hand_state(placed).unwrap();
     assert!(state.joints.iter().zip(&hand.tree.joints).all(|(q, j)| *q < j.upper + 1e-2));
+}
+
+#[test]
+fn a_hollow_mesh_is_decomposed_and_a_full_one_is_not() {
+    // An L of two legs, 4 cm long and 1 cm thick, extruded by 2 cm.
+    let outline = [(0.0, 0.0), (0.04, 0.0), (0.04, 0.01), (0.01, 0.01), (0.01, 0.04), (0.0, 0.04)];
+    let vertices: Vec<Point3<f64>> =
+        [0.0, 0.02].iter().flat_map(|&z| outline.map(|(x, y)| Point3::new(x, y, z))).collect();
+    let mut triangles = vec![[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 5, 4]];
+    triangles.extend([[6, 7, 8], [6, 8, 9], [6, 9, 10], [6, 10, 11]]);
+    triangles.extend((0..6).flat_map(|i| {
+        let next = (i + 1) % 6;
+        [[i, next, next + 6], [i, next + 6, i + 6]]
+    }));
+    let parts = body::mesh(&vertices, &triangles);
+    assert!(parts.len() > 1, "{} part", parts.len());
+    let volume: f64 = parts.iter().map(|p| p.mass_properties(1.0).mass()).sum();
+    assert!((volume - 14e-6).abs() < 3e-6, "{volume} m³ of 14e-6");
+    let cube = crate::mesh::Mesh::cuboid(Vector3::repeat(0.01));
+    assert_eq!(body::mesh(&cube.vertices, &cube.triangles).len(), 1);
+    // Nothing solid can be made of a point.
+    assert!(body::mesh(&[Point3::origin()], &[]).is_empty());
+}
+
+#[test]
+fn joints_that_mix_coordinates_or_depend_on_none_are_servos() {
+    let mut hand = library::hand("model-o").unwrap().clone();
+    // A differential between fingers 2 and 3, and a spread that is fixed at 0.2 rad.
+    let joint = |name: &str| hand.tree.joint(name).unwrap();
+    let (finger, spread) = (joint("finger_3_joint"), joint("finger_3_base_joint"));
+    hand.actuation.rows[finger].terms = vec![(2, 0.5), (3, 0.5)];
+    hand.actuation.rows[spread].terms.clear();
+    hand.actuation.rows[spread].offset = 0.2;
+    let hand = Arc::new(hand);
+    let mut world = World::new(WorldSettings::default());
+    let placed = world.add_hand(hand.clone(), &above(&hand, 0.5), &hand.actuation.open());
+    let actuators = vec![0.0, 0.0, 0.6, 0.2];
+    assert!(world.command(placed, Command::Close { actuators, force: 1.0, speed: 1.0 }));
+    run(&mut world, 1.5);
+    let q = world.hand_state(placed).unwrap().joints;
+    assert!((q[finger] - 0.4).abs() < 5e-3 && (q[spread] - 0.2).abs() < 5e-3, "{q:?}");
 }
