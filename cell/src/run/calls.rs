@@ -218,11 +218,13 @@ impl Run<'_> {
         }
     }
 
-    /// True when the hand feels an object. A hand without touch tells by fingers that stay short of their targets.
+    /// True when the hand feels an object. A hand without touch, or with fingers that still move, tells by fingers that
+    /// are short of where they were told to go.
     pub(super) async fn feels(&self) -> Result<bool, Problem> {
         let info = self.cell.hand.info();
         let state = self.hand_state().await?;
-        if info.feels_contact {
+        // Fingers that move or creep cannot say yet what holds them.
+        if info.feels_contact && (state.settled || state.feels_object()) {
             return Ok(state.feels_object());
         }
         let Some((_, grasp)) = self.attempt.grasp() else { return Ok(false) };

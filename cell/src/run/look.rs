@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::calls::{Pace, Problem, Who, answered, seconds};
 use super::{Next, Run};
+use crate::config::TrayConfig;
 use crate::frame::Frame;
 use crate::outcome::{Holding, Outcome};
 use crate::plan::{Question, ReachingChoice};
@@ -69,6 +70,11 @@ impl Run<'_> {
     fn question(&self) -> Question {
         let (planner, tray) = (&self.config.planner, &self.config.tray);
         let other = self.idle_attempts % 2 == 1;
+        // What is flat disappears under a floor that is told too high: an empty tray is asked about as it is.
+        let tray = TrayConfig {
+            floor_clearance_m: if self.empty_frames > 0 { 0.0 } else { tray.floor_clearance_m },
+            ..tray.clone()
+        };
         Question {
             hand: self.config.hand.id.clone(),
             seed: self.config.run.seed.wrapping_add(u64::from(self.attempt.number) - 1),
