@@ -77,10 +77,20 @@ pub const TABLE: &[Row] = &[
     Row { steps: EMPTY_HANDED, trouble: Trouble::OutOfReach, first: Recovery::End, then: Recovery::End },
     Row { steps: &[Step::Capture], trouble: Trouble::NoAnswer, first: Recovery::Retry, then: Recovery::End },
     Row { steps: &[Step::Plan], trouble: Trouble::PlannerAway, first: Recovery::Wait, then: Recovery::Wait },
-    Row { steps: &[Step::Plan], trouble: Trouble::PlannerFailed, first: Recovery::Retry, then: Recovery::End },
+    Row {
+        steps: &[Step::Plan],
+        trouble: Trouble::PlannerFailed,
+        first: Recovery::Retry,
+        then: Recovery::End,
+    },
     Row { steps: &[Step::Plan], trouble: Trouble::PlannerRefused, first: Recovery::End, then: Recovery::End },
     Row { steps: &[Step::Plan], trouble: Trouble::NoGrasp, first: Recovery::PlanAgain, then: Recovery::End },
-    Row { steps: &[Step::Open], trouble: Trouble::NoAnswer, first: Recovery::ClearAndRetry, then: Recovery::End },
+    Row {
+        steps: &[Step::Open],
+        trouble: Trouble::NoAnswer,
+        first: Recovery::ClearAndRetry,
+        then: Recovery::End,
+    },
     Row { steps: &[Step::Open], trouble: Trouble::Stop, first: Recovery::ClearAndRetry, then: Recovery::End },
     Row {
         steps: &[Step::Open, Step::Pregrasp, Step::Approach],
@@ -89,14 +99,24 @@ pub const TABLE: &[Row] = &[
         then: Recovery::NextGrasp,
     },
     Row { steps: &[Step::Pregrasp], trouble: Trouble::NoAnswer, first: Recovery::Retry, then: Recovery::End },
-    Row { steps: &[Step::Pregrasp], trouble: Trouble::Stop, first: Recovery::Retreat, then: Recovery::Retreat },
+    Row {
+        steps: &[Step::Pregrasp],
+        trouble: Trouble::Stop,
+        first: Recovery::Retreat,
+        then: Recovery::Retreat,
+    },
     Row {
         steps: &[Step::Approach],
         trouble: Trouble::NoAnswer,
         first: Recovery::Retreat,
         then: Recovery::Retreat,
     },
-    Row { steps: &[Step::Approach], trouble: Trouble::Stop, first: Recovery::Retreat, then: Recovery::Retreat },
+    Row {
+        steps: &[Step::Approach],
+        trouble: Trouble::Stop,
+        first: Recovery::Retreat,
+        then: Recovery::Retreat,
+    },
     Row {
         steps: &[Step::Close, Step::Release],
         trouble: Trouble::NoAnswer,
@@ -152,14 +172,24 @@ pub const TABLE: &[Row] = &[
         then: Recovery::End,
     },
     Row { steps: &[Step::Carry], trouble: Trouble::OutOfReach, first: Recovery::End, then: Recovery::End },
-    Row { steps: &[Step::Release], trouble: Trouble::Stop, first: Recovery::ClearAndRetry, then: Recovery::End },
+    Row {
+        steps: &[Step::Release],
+        trouble: Trouble::Stop,
+        first: Recovery::ClearAndRetry,
+        then: Recovery::End,
+    },
     Row {
         steps: &[Step::Retreat],
         trouble: Trouble::NoAnswer,
         first: Recovery::ClearAndRetry,
         then: Recovery::End,
     },
-    Row { steps: &[Step::Retreat], trouble: Trouble::Stop, first: Recovery::ClearAndRetry, then: Recovery::End },
+    Row {
+        steps: &[Step::Retreat],
+        trouble: Trouble::Stop,
+        first: Recovery::ClearAndRetry,
+        then: Recovery::End,
+    },
 ];
 
 /// What is done about `trouble` in `step` that has happened `before` times already, where `tries` are allowed.

@@ -52,7 +52,11 @@ impl CellConfig {
             ));
         }
         if self.hand.id.is_empty() || self.hand.id.contains('/') {
-            return Err(wrong("hand.id", format!("{:?}", self.hand.id), "the id of a hand, for example leap"));
+            return Err(wrong(
+                "hand.id",
+                format!("{:?}", self.hand.id),
+                "the id of a hand, for example leap",
+            ));
         }
         count("planner.batch", p.batch, 1..=4096)?;
         count("planner.scheme[0]", p.scheme[0], 1..=10_000)?;
@@ -92,7 +96,8 @@ impl CellConfig {
         positive("tray.height_m", t.height_m, t.volume_m)?;
         positive("motion.travel_height_m", self.motion.travel_height_m, 5.0)?;
         positive("motion.lift_m", self.motion.lift_m, 2.0)?;
-        let over = (0..2).all(|i| (self.drop.position_m[i] - t.position_m[i]).abs() < t.volume_m / 2.0 - 0.02);
+        let over =
+            (0..2).all(|i| (self.drop.position_m[i] - t.position_m[i]).abs() < t.volume_m / 2.0 - 0.02);
         inside(
             "drop.position_m",
             format!("{:?}", self.drop.position_m),
@@ -103,11 +108,7 @@ impl CellConfig {
 }
 
 fn wrong(field: &str, found: impl ToString, expected: impl ToString) -> ConfigError {
-    ConfigError::Value {
-        field: field.to_owned(),
-        found: found.to_string(),
-        expected: expected.to_string(),
-    }
+    ConfigError::Value { field: field.to_owned(), found: found.to_string(), expected: expected.to_string() }
 }
 
 fn inside(field: &str, found: impl ToString, ok: bool, expected: &str) -> Result<(), ConfigError> {

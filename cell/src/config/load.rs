@@ -44,7 +44,10 @@ impl CellConfig {
     ///
     /// # Errors
     /// [`ConfigError::Value`] for a variable that is not of its type.
-    pub fn apply_environment(&mut self, variable: impl Fn(&str) -> Option<String>) -> Result<(), ConfigError> {
+    pub fn apply_environment(
+        &mut self,
+        variable: impl Fn(&str) -> Option<String>,
+    ) -> Result<(), ConfigError> {
         let text = |name| variable(name).filter(|value| !value.is_empty());
         if let Some(endpoint) = text("GRASPD_CELL_ENDPOINT") {
             self.planner.endpoint = endpoint;
@@ -118,9 +121,15 @@ mod tests {
             ("[hand]\nforce = 0", "hand.force: found 0, expected more than 0, at most 1"),
             ("[run]\ntrials = 0", "run.trials: found 0, expected 1 to 1000000"),
             ("[planner]\nscheme = [20, 40]", "planner.scheme[1]: found 40, expected 0 to 20"),
-            ("[tray]\nwidth_m = 0.5", "tray.width_m: found 0.5, expected more than 0.02, at most tray.volume_m"),
+            (
+                "[tray]\nwidth_m = 0.5",
+                "tray.width_m: found 0.5, expected more than 0.02, at most tray.volume_m",
+            ),
             ("[timeouts]\nmove_s = nan", "timeouts.move_s: found NaN, expected a number above 0"),
-            ("[drop]\nposition_m = [0.1, 0, 0.3]", "drop.position_m: found [0.1, 0.0, 0.3], expected a place beside"),
+            (
+                "[drop]\nposition_m = [0.1, 0, 0.3]",
+                "drop.position_m: found [0.1, 0.0, 0.3], expected a place beside",
+            ),
             ("[hand]\nid = \"\"", "hand.id: found \"\", expected the id of a hand"),
             ("[hand]\nid = 3", "expected a string"),
             ("[tary]", "unknown field `tary`"),
@@ -144,7 +153,10 @@ mod tests {
         };
         config.apply_environment(set).unwrap();
         assert_eq!((config.planner.embedded, config.run.trials, config.run.seed), (false, 7, 0));
-        assert_eq!((config.hand.id.as_str(), config.planner.endpoint.as_str()), ("barrett", "http://10.0.0.1:1"));
+        assert_eq!(
+            (config.hand.id.as_str(), config.planner.endpoint.as_str()),
+            ("barrett", "http://10.0.0.1:1")
+        );
         let wrong = |name: &str| (name == "GRASPD_CELL_TRIALS").then(|| "many".to_owned());
         let message = config.apply_environment(wrong).unwrap_err().to_string();
         assert_eq!(message, "GRASPD_CELL_TRIALS: found many, expected a whole number");

@@ -28,7 +28,15 @@ pub struct TimeoutConfig {
 
 impl Default for TimeoutConfig {
     fn default() -> Self {
-        Self { capture_s: 2.0, plan_s: 30.0, move_s: 30.0, grip_s: 10.0, state_s: 2.0, clear_s: 5.0, patience: 10.0 }
+        Self {
+            capture_s: 2.0,
+            plan_s: 30.0,
+            move_s: 30.0,
+            grip_s: 10.0,
+            state_s: 2.0,
+            clear_s: 5.0,
+            patience: 10.0,
+        }
     }
 }
 

@@ -84,7 +84,9 @@ fn error(error: ClientError) -> PlannerError {
     match error.call().map(|call| call.code) {
         None => PlannerError::Away(text),
         // A connection that breaks under a call has many names.
-        Some(Code::Unavailable | Code::ResourceExhausted | Code::Cancelled | Code::Unknown) => PlannerError::Away(text),
+        Some(Code::Unavailable | Code::ResourceExhausted | Code::Cancelled | Code::Unknown) => {
+            PlannerError::Away(text)
+        }
         Some(
             Code::InvalidArgument
             | Code::NotFound
@@ -189,7 +191,8 @@ fn plan_options(question: &Question) -> PlanOptions {
 fn answer(response: wire::PlanGraspsResponse) -> Result<Answer, PlannerError> {
     let stats = response.stats.ok_or_else(|| broken("without stats"))?;
     let grasps = response.grasps.iter().map(grasp).collect::<Result<Vec<_>, _>>()?;
-    let no_grasp = response.no_grasp.map(|why| NoGrasp { reason: reason(why.reason()), nearest_fix: why.nearest_fix });
+    let no_grasp =
+        response.no_grasp.map(|why| NoGrasp { reason: reason(why.reason()), nearest_fix: why.nearest_fix });
     if grasps.is_empty() == no_grasp.is_none() {
         return Err(broken("neither grasps nor why there is none"));
     }

@@ -71,7 +71,8 @@ pub async fn replay(
     let (same, apart) = match &recorded.chosen {
         Some(Chosen { rank, grasp }) => {
             let now = answer.grasps.get(*rank).map(as_recorded).transpose();
-            let now = now.map_err(|e| RecordError::Content { file: "grasp".into(), problem: e.to_string() })?;
+            let now =
+                now.map_err(|e| RecordError::Content { file: "grasp".into(), problem: e.to_string() })?;
             (now.as_ref() == Some(grasp), now.map(|now| apart(&now, grasp)))
         }
         None => {

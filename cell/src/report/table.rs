@@ -15,7 +15,11 @@ impl fmt::Display for Report {
         if let (Some(delivered), Some(lost), Some(left)) = (t.delivered, t.lost, t.in_tray) {
             writeln!(f, "objects         {delivered} delivered, {lost} lost, {left} left in the tray")?;
         }
-        writeln!(f, "attempts        {} ({} without a trial, {} unknown)", t.attempts, t.not_executed, t.unknown)?;
+        writeln!(
+            f,
+            "attempts        {} ({} without a trial, {} unknown)",
+            t.attempts, t.not_executed, t.unknown
+        )?;
         for (class, count) in &t.failures {
             writeln!(f, "  {:<13} {count}", class.name())?;
         }

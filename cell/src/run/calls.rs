@@ -167,8 +167,12 @@ impl Run<'_> {
         let limit = seconds(self.config.timeouts.clear_s);
         let (arm, hand) = (&self.cell.arm, &self.cell.hand);
         match who {
-            Who::Arm => self.within(who, &arm.info().name, "clear_fault", limit, arm.clear_fault(limit)).await,
-            Who::Hand => self.within(who, &hand.info().name, "clear_fault", limit, hand.clear_fault(limit)).await,
+            Who::Arm => {
+                self.within(who, &arm.info().name, "clear_fault", limit, arm.clear_fault(limit)).await
+            }
+            Who::Hand => {
+                self.within(who, &hand.info().name, "clear_fault", limit, hand.clear_fault(limit)).await
+            }
             Who::Camera | Who::Planner => Ok(()),
         }
     }
@@ -183,8 +187,7 @@ impl Run<'_> {
             let text = format!("actuators of a grasp: found {names:?}, expected {:?}", info.actuators);
             return Err(Problem::broken(Who::Planner, text));
         };
-        let command =
-            GripCommand { actuators, speed: self.config.hand.speed, force: self.config.hand.force };
+        let command = GripCommand { actuators, speed: self.config.hand.speed, force: self.config.hand.force };
         self.within(Who::Hand, &info.name, "grip", limit, hand.grip(&command, limit)).await
     }
 

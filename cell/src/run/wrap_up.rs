@@ -2,9 +2,9 @@
 
 use std::fmt::Display;
 
+use super::Run;
 use super::attempt::Attempt;
 use super::calls::seconds;
-use super::Run;
 use crate::observer::Event;
 use crate::outcome::{End, FailureClass, Holding, Outcome};
 use crate::record::AttemptRecord;

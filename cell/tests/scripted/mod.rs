@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use graspd_adapters_core::{
-    Arm, ArmInfo, ArmMode, ArmState, CameraInfo, DepthCamera, DepthFrame, DeviceError, FaultKind, GripCommand,
-    Hand, HandInfo, HandState, Lens, Limits, async_trait,
+    Arm, ArmInfo, ArmMode, ArmState, CameraInfo, DepthCamera, DepthFrame, DeviceError, FaultKind,
+    GripCommand, Hand, HandInfo, HandState, Lens, Limits, async_trait,
 };
 use graspd_cell::Cell;
 use graspd_cell::config::CellConfig;
@@ -136,9 +136,7 @@ impl Shared {
         let device = device.to_owned();
         let stop = |kind| DeviceError::Fault { device: device.clone(), kind, detail: "scripted".into() };
         Err(match fault {
-            Fault::Timeout => {
-                DeviceError::Timeout { device, operation: name, after: Duration::from_secs(1) }
-            }
+            Fault::Timeout => DeviceError::Timeout { device, operation: name, after: Duration::from_secs(1) },
             Fault::Hangs => pending().await,
             Fault::Disconnected => DeviceError::Disconnected { device, detail: "scripted".into() },
             Fault::Stop => stop(FaultKind::ProtectiveStop),
@@ -312,7 +310,13 @@ impl Hand for Shared {
         self.device("hand", "hand_state", QUERY_FAULTS).await?;
         let world = self.world();
         let held = world.in_hand > 0;
-        let at = if !world.closed { 0.0 } else if held { 0.6 } else { 1.0 };
+        let at = if !world.closed {
+            0.0
+        } else if held {
+            0.6
+        } else {
+            1.0
+        };
         Ok(HandState { actuators: vec![at, 2.0 * at], held: vec![held, held], settled: true })
     }
 
@@ -438,7 +442,8 @@ pub(crate) async fn run(shared: &Shared, config: &CellConfig) -> (graspd_cell::r
     let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
     let cell = shared.cell();
     let clearing = graspd_cell::clear_tray(&cell, config, &mut watcher);
-    let report = tokio::time::timeout(Duration::from_secs(100_000), clearing).await.expect("it hangs").unwrap();
+    let report =
+        tokio::time::timeout(Duration::from_secs(100_000), clearing).await.expect("it hangs").unwrap();
     let t = &report.tally;
     let failures: u32 = t.failures.values().sum();
     assert_eq!(t.attempts, t.successes + failures + t.not_executed + t.unknown, "{report:?}");

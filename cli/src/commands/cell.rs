@@ -82,7 +82,8 @@ impl RunArgs {
         let mut config = match &self.config {
             Some(path) => {
                 let name = path.display();
-                let text = std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
+                let text =
+                    std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
                 CellConfig::parse(&text).with_context(|| format!("{name}"))?
             }
             None => CellConfig::default(),
@@ -156,10 +157,7 @@ async fn interrupted(stop: &AtomicBool) {
 }
 
 /// Does something with the configured planner: a server elsewhere, or one in this process on a free port.
-async fn with_planner<T, F>(
-    config: &CellConfig,
-    work: impl FnOnce(PlannerClient) -> F,
-) -> anyhow::Result<T>
+async fn with_planner<T, F>(config: &CellConfig, work: impl FnOnce(PlannerClient) -> F) -> anyhow::Result<T>
 where
     F: Future<Output = anyhow::Result<T>>,
 {

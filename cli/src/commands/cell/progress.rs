@@ -87,9 +87,11 @@ fn attempt_line(record: &AttemptRecord, tally: &Tally) -> String {
         Outcome::NotExecuted { why } => format!("nothing executed: {why}"),
         Outcome::Unknown { why } => format!("unknown: {why}"),
     };
-    let plan = record.answer.as_ref().map_or_else(String::new, |a| format!("plan {:4.0} ms  ", 1000.0 * a.plan_s));
+    let plan =
+        record.answer.as_ref().map_or_else(String::new, |a| format!("plan {:4.0} ms  ", 1000.0 * a.plan_s));
     let score = record.chosen.as_ref().map_or_else(String::new, |c| format!("score {:.2}  ", c.grasp.score));
-    let rate = tally.rate().map_or_else(String::new, |r| format!("  [{:.0} % of {}]", 100.0 * r, tally.trials));
+    let rate =
+        tally.rate().map_or_else(String::new, |r| format!("  [{:.0} % of {}]", 100.0 * r, tally.trials));
     format!("attempt {:3}  {plan}{score}{result}{rate}", record.attempt)
 }
 

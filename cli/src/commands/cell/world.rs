@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::Context as _;
 use graspd_adapters_core::{Arm, DepthCamera, Hand};
 use graspd_adapters_mock::{
-    ArmSettings, Bin, CameraSettings, Faults, HandSettings, MockArm, MockCamera, MockHand, Mount, SharedWorld,
-    SharedWorldSettings,
+    ArmSettings, Bin, CameraSettings, Faults, HandSettings, MockArm, MockCamera, MockHand, Mount,
+    SharedWorld, SharedWorldSettings,
 };
 use graspd_cell::config::CellConfig;
 use graspd_cell::pose::pointing_down;
