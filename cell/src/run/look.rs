@@ -66,10 +66,11 @@ impl Run<'_> {
         Err(Problem { who: Who::Planner, trouble: Trouble::NoGrasp, text })
     }
 
-    /// The question for this attempt: a seed of its own, and every second time after no grasp any direction.
+    /// The question for this attempt: a seed of its own, and every second time after no grasp any direction;
+    /// likewise for two of four trials after two failures in a row.
     fn question(&self) -> Question {
         let (planner, tray) = (&self.config.planner, &self.config.tray);
-        let other = self.idle_attempts % 2 == 1;
+        let other = (self.idle_attempts + self.tally.failures_in_a_row / 2) % 2 == 1;
         // What is flat disappears under a floor that is told too high: an empty tray is asked about as it is.
         let tray = TrayConfig {
             floor_clearance_m: if self.empty_frames > 0 { 0.0 } else { tray.floor_clearance_m },
