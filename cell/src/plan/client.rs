@@ -247,7 +247,8 @@ fn pose(message: Option<&wire::PoseInFrame>, field: &str) -> Result<PoseRecord, 
     let position = vector(pose.position.as_ref(), field)?;
     // What an arm is sent must be a pose.
     let norm = (q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w).sqrt();
-    if !((norm - 1.0).abs() < 1e-3) || !position.iter().all(|x| x.is_finite()) {
+    let unit = (norm - 1.0).abs() < 1e-3;
+    if !unit || !position.iter().all(|x| x.is_finite()) {
         return Err(broken(&format!("a grasp whose {field} is no pose")));
     }
     Ok(PoseRecord {

@@ -102,8 +102,11 @@ async fn a_run_survives_faults_and_a_planner_that_is_restarted() {
     let census = shared.census().await.unwrap();
     assert_eq!(census.total(), OBJECTS, "an object is lost from the count: {census:?}");
     // How many grasps hold is physics; that the run ends in order, and counts what arrived, is the cell's.
-    assert!(matches!(report.end, End::Empty | End::Failures { .. } | End::NoGrasp { .. }), "{report:?}");
-    assert_eq!((report.holding, census.held.len()), (Holding::Nothing, 0), "{report:?}");
+    // An arm whose hand is wedged among objects may end it, and says so.
+    let in_order =
+        matches!(report.end, End::Empty | End::Failures { .. } | End::NoGrasp { .. } | End::ArmLost { .. });
+    assert!(in_order, "{report:?}");
+    assert_eq!(report.holding, Holding::Nothing, "{report:?}");
     assert!(!census.delivered.is_empty(), "{report:?}");
     assert_eq!(report.tally.successes as usize, census.delivered.len(), "{report:?}");
     for trouble in [Trouble::PlannerAway, Trouble::NoAnswer, Trouble::Stop] {
