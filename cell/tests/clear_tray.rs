@@ -1,5 +1,7 @@
 //! The loop with scripted devices: what it does when nothing goes wrong, and what is kept of it.
 
+// What tests share fails like a test.
+#[allow(clippy::unwrap_used)]
 mod scripted;
 
 use graspd_cell::config::CellConfig;
