@@ -1,65 +1,64 @@
-//! Writes pictures of a small world as portable pixmaps (PPM) into a folder: `cargo run --example look -- FOLDER`.
+//! A poured tray, or a scene file, as pictures (portable pixmaps, PPM) and as a scene file:
+//! `cargo run --release -p graspd-sim --example look -- FOLDER [SEED | SCENE.json]`.
+//!
+//! `scene.ppm` is for people; `kinect.ppm` and `flexx.ppm` are depth images in false colour, exact on the left and
+//! with the camera's faults on the right.
 
 use std::io::Write;
 use std::path::Path;
-use std::sync::Arc;
 
-use graspd_hands::Shape;
-use graspd_sim::camera::look_at;
-use graspd_sim::mesh::Mesh;
-use graspd_sim::object::{Object, Source, Surface};
-use graspd_sim::render::{RgbImage, capture, depth_picture, picture, solids};
+use graspd_sim::camera::{Pinhole, look_at};
+use graspd_sim::clutter::{Arrangement, arrange, assortment};
+use graspd_sim::render::{RgbImage, capture, depth_picture, picture};
+use graspd_sim::scene;
 use graspd_sim::sensor::Sensor;
 use graspd_sim::world::{Tray, World, WorldSettings};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Point3, Vector3};
 
-fn main() -> std::io::Result<()> {
-    let folder = std::env::args().nth(1).unwrap_or_else(|| ".".into());
+/// Objects in the tray, as in the paper's Task 2.
+const OBJECTS: usize = 12;
+/// Depths between the two ends of the colours, metres.
+const RANGE_M: [f64; 2] = [0.5, 0.9];
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut words = std::env::args().skip(1);
+    let folder = words.next().unwrap_or_else(|| ".".into());
     let folder = Path::new(&folder);
-    let world = world();
-    let sensor = Sensor::azure_kinect();
-    let eye = look_at(&Point3::new(0.35, -0.25, 0.6), &Point3::new(0.0, 0.0, 0.03), &Vector3::z());
-    save(&folder.join("scene.ppm"), &picture(&world, &sensor.lens, &eye))?;
-    for (name, sensor) in [("kinect", sensor), ("flexx", Sensor::pico_flexx())] {
-        let view = capture(&world, &sensor.lens, &eye);
-        let exact = Sensor::ideal(sensor.lens).observe(&view, 0);
-        save(&folder.join(format!("{name}_exact.ppm")), &depth_picture(&exact, [0.5, 1.0]))?;
-        save(&folder.join(format!("{name}.ppm")), &depth_picture(&sensor.observe(&view, 1), [0.5, 1.0]))?;
+    std::fs::create_dir_all(folder)?;
+    let world = match words.next() {
+        Some(word) => match word.parse() {
+            Ok(seed) => poured(seed),
+            Err(_) => scene::from_json(&std::fs::read_to_string(word)?)?,
+        },
+        None => poured(5),
+    };
+    std::fs::write(folder.join("scene.json"), scene::to_json(&world))?;
+
+    let target = Point3::new(0.0, 0.0, 0.03);
+    let lens = Pinhole { width: 840, height: 600, fx_px: 860.0, fy_px: 860.0, cx_px: 419.5, cy_px: 299.5 };
+    let front = look_at(&Point3::new(0.30, -0.36, 0.40), &target, &Vector3::z());
+    save(&folder.join("scene.ppm"), &picture(&world, &lens, &front))?;
+
+    let above = look_at(&Point3::new(0.0, -0.2, 0.65), &target, &Vector3::z());
+    for (name, sensor) in [("kinect", Sensor::azure_kinect()), ("flexx", Sensor::pico_flexx())] {
+        let view = capture(&world, &sensor.lens, &above);
+        let exact = depth_picture(&Sensor::ideal(sensor.lens).observe(&view, 0), RANGE_M);
+        let seen = depth_picture(&sensor.observe(&view, 1), RANGE_M);
+        save(&folder.join(format!("{name}.ppm")), &beside(&exact, &seen))?;
     }
     Ok(())
 }
 
-fn world() -> World {
-    let mut world = World::new(WorldSettings { tray: Some(Tray::default()), ..Default::default() });
-    let solid = |shape: Shape| solids::triangulate(&shape).into_mesh();
-    let mut add = |mesh: Mesh, surface: Surface, at: [f64; 3], turn: [f64; 3]| {
-        let parts = vec![mesh.vertices.clone()];
-        let object = Object {
-            name: "solid".into(),
-            mesh: mesh.into(),
-            parts,
-            mass_kg: 0.2,
-            friction: 0.5,
-            surface,
-            source: Source::Mesh,
-        };
-        world.add(Arc::new(object), &Isometry3::new(Vector3::from(at), Vector3::from(turn)));
-    };
-    let matt = Surface { albedo: 0.6, specular: 0.0 };
-    let dark = Surface { albedo: 0.05, specular: 0.0 };
-    let polished = Surface { albedo: 0.6, specular: 0.7 };
-    add(Mesh::cuboid(Vector3::new(0.03, 0.045, 0.04)), matt, [0.05, 0.05, 0.04], [0.0, 0.0, 0.4]);
-    add(solid(Shape::Sphere { radius: 0.035 }), matt, [-0.05, -0.06, 0.035], [0.0; 3]);
-    add(solid(Shape::Cylinder { radius: 0.033, half_length: 0.05 }), polished, [-0.06, 0.06, 0.05], [0.0; 3]);
-    add(Mesh::cuboid(Vector3::new(0.08, 0.012, 0.01)), matt, [0.06, -0.08, 0.01], [0.0, 0.0, -0.5]);
-    add(
-        solid(Shape::Cylinder { radius: 0.02, half_length: 0.06 }),
-        dark,
-        [0.11, 0.0, 0.02],
-        [std::f64::consts::FRAC_PI_2, 0.0, 0.0],
-    );
-    add(Mesh::cuboid(Vector3::repeat(0.02)), matt, [-0.12, -0.12, 0.02], [0.0, 0.0, 0.2]);
-    world
+fn poured(seed: u64) -> World {
+    let settings = WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() };
+    arrange(&settings, &assortment(OBJECTS, seed), Arrangement::Pile, seed)
+}
+
+/// Two pictures of one size side by side.
+fn beside(left: &RgbImage, right: &RgbImage) -> RgbImage {
+    let rows = left.pixels.chunks(left.width).zip(right.pixels.chunks(right.width));
+    let pixels = rows.flat_map(|(left, right)| left.iter().chain(right)).copied().collect();
+    RgbImage { width: left.width + right.width, height: left.height, pixels }
 }
 
 fn save(path: &Path, image: &RgbImage) -> std::io::Result<()> {
