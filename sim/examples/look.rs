@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let target = Point3::new(0.0, 0.0, 0.03);
     let lens = Pinhole { width: 840, height: 600, fx_px: 860.0, fy_px: 860.0, cx_px: 419.5, cy_px: 299.5 };
-    let front = look_at(&Point3::new(0.30, -0.36, 0.40), &target, &Vector3::z());
+    let front = look_at(&Point3::new(0.31, -0.39, 0.43), &Point3::new(0.0, -0.02, 0.01), &Vector3::z());
     save(&folder.join("scene.ppm"), &picture(&world, &lens, &front))?;
 
     let above = look_at(&Point3::new(0.0, -0.2, 0.65), &target, &Vector3::z());
