@@ -28,6 +28,8 @@ const DEEPEST_VOXELS: f64 = 0.8;
 const TRAVEL_M: f64 = 0.25;
 /// A hand with one motor is shifted at most this far so that its fingers touch together, metres.
 const SHIFT_M: f64 = 0.02;
+/// Fingers close no nearer to the table than this, metres: a depth camera knows the table's height no better.
+const TABLE_ROOM_M: f64 = 0.003;
 /// The hand is drawn back by this much at a time where the table stops its fingers, metres.
 const DRAW_STEP_M: f64 = 0.005;
 /// The hand is drawn back at most this far, metres.
@@ -288,7 +290,7 @@ fn feel(
         let in_scene = radius - objective.obstacles.scene(&center).0 - deepest;
         over = over.max(in_scene);
         if let Some(table) = objective.obstacles.table_m {
-            let into = radius - (center.z - table);
+            let into = radius - (center.z - table) + TABLE_ROOM_M;
             over = over.max(into);
             // What is solid just above the table top may be the table as it was seen.
             if into > -objective.obstacles.grid.voxel_m() {

@@ -7,8 +7,9 @@ use crate::objective::{Objective, Obstacles, Scratch};
 
 /// Spheres may be this deep in the scene, voxels: the resolution of what was seen.
 pub(crate) const SCENE_TOLERANCE_VOXELS: f64 = 1.0;
-/// Spheres may be this deep in the table, metres.
-pub(crate) const TABLE_TOLERANCE_M: f64 = 0.002;
+/// Spheres may be this deep in the table, metres; negative: they keep this far from it. A depth camera knows the
+/// table's height to some millimetres (Supplementary Fig. 8b).
+pub(crate) const TABLE_TOLERANCE_M: f64 = -0.001;
 /// Spheres of different fingers may overlap by this much, metres.
 pub(crate) const SELF_TOLERANCE_M: f64 = 0.003;
 /// Distance between two checked poses of the approach, metres.
