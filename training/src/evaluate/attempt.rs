@@ -13,10 +13,10 @@ use graspd_sim::execute::{ExecuteSettings, Failure, GraspCommand, Moment, Trial,
 use graspd_sim::world::World;
 use serde::{Deserialize, Serialize};
 
+use super::EvaluationError;
 use super::clear::Setup;
 use super::clock::Stopwatch;
 use super::station::Station;
-use super::EvaluationError;
 
 /// What became of an attempt; the failures are those of Supplementary Fig. 8.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -66,8 +66,8 @@ impl Class {
         }
     }
 
-    /// The class of an executed grasp. Any object in the container counts (Supplementary Note 7), also where it is
-    /// not the one that was meant.
+    /// The class of an executed grasp. Any object in the container counts (Supplementary Note 7), also where it
+    /// is not the one that was meant.
     pub(crate) fn of(trial: &Trial) -> Self {
         match trial.failure {
             None => Self::Success,
@@ -202,8 +202,8 @@ impl Conditions<'_> {
         Ok((plan, watch.elapsed().as_secs_f64() * 1e3))
     }
 
-    /// Puts the hand into the world at the pre-grasp, open, executes, and takes the hand out again: what it held is
-    /// left where it was.
+    /// Puts the hand into the world at the pre-grasp, open, executes, and takes the hand out again: what it
+    /// held is left where it was.
     pub(crate) fn execute(
         &self,
         world: &mut World,

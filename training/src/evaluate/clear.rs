@@ -1,4 +1,5 @@
-//! Clearing trays, as in the paper's Task 1 (Supplementary Note 7): look, plan, grasp, drop, until the tray is empty.
+//! Clearing trays, as in the paper's Task 1 (Supplementary Note 7): look, plan, grasp, drop, until the tray is
+//! empty.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -56,8 +57,8 @@ pub struct ClearSettings {
     pub per_tray: usize,
     /// The setups.
     pub setups: Vec<Setup>,
-    /// After so many failed attempts at one object it is taken away and counts as not cleared; after so many plans
-    /// without a grasp in a row everything left in the tray is.
+    /// After so many failed attempts at one object it is taken away and counts as not cleared; after so many
+    /// plans without a grasp in a row everything left in the tray is.
     pub give_up: usize,
     /// Same seed, same settings: same attempts.
     pub seed: u64,
@@ -96,11 +97,9 @@ impl ClearSettings {
             ("workers", self.workers),
         ];
         match counts.into_iter().find(|&(_, n)| n == 0) {
-            Some((field, _)) => Err(EvaluationError::Setting {
-                field,
-                found: "0".into(),
-                expected: "at least 1".into(),
-            }),
+            Some((field, _)) => {
+                Err(EvaluationError::Setting { field, found: "0".into(), expected: "at least 1".into() })
+            }
             None => Ok(()),
         }
     }
@@ -159,8 +158,8 @@ impl Observer for Silent {
     fn run(&self, _: &Run) {}
 }
 
-/// Clears every tray with every hand. The runs are in the order of setups, hands and runs, and their attempts do not
-/// depend on the number of workers.
+/// Clears every tray with every hand. The runs are in the order of setups, hands and runs, and their attempts
+/// do not depend on the number of workers.
 ///
 /// # Errors
 /// [`EvaluationError`] for settings of no use, and for what the planner or the world refuses.
@@ -336,7 +335,13 @@ fn clear_tray(
         if attempt.class != Class::Success {
             let search = &settings.search;
             observer.failed(&FailedTrial::new(
-                &attempt, conditions.hand, &scene_json, executed, &settings.execute, search, settings.volume,
+                &attempt,
+                conditions.hand,
+                &scene_json,
+                executed,
+                &settings.execute,
+                search,
+                settings.volume,
                 [noise_seed, plan_seed],
             )?);
         }
@@ -356,10 +361,8 @@ fn put_back(world: &mut World, station: &Station, seed: u64) -> usize {
         }
         // Anywhere in the middle 12 cm.
         let jitter = |axis: u64| (derive(seed, &[i as u64, axis]) % 1000) as f64 / 1000.0 * 0.12 - 0.06;
-        let above = Isometry3::from_parts(
-            nalgebra::Translation3::new(jitter(0), jitter(1), 0.2),
-            pose.rotation,
-        );
+        let above =
+            Isometry3::from_parts(nalgebra::Translation3::new(jitter(0), jitter(1), 0.2), pose.rotation);
         world.place(id, &above);
         settle(world, SETTLE_S);
         count += 1;

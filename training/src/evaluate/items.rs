@@ -1,4 +1,5 @@
-//! The objects that are grasped: the same for every hand, of all families, none wider than the narrowest hand opens.
+//! The objects that are grasped: the same for every hand, of all families, none wider than the narrowest hand
+//! opens.
 
 use std::sync::Arc;
 
@@ -14,8 +15,8 @@ const DRAWN: usize = 32;
 /// Draws before giving up: an assortment of which nothing fits.
 const MOST_DRAWS: u64 = 100;
 
-/// True when a hand that opens to `opening_m` can take the object from above in each of its steady poses: its bounding box
-/// is at least 2 cm thick, and its middle extent is at least 1 cm less than the opening.
+/// True when a hand that opens to `opening_m` can take the object from above in each of its steady poses: its
+/// bounding box is at least 2 cm thick, and its middle extent is at least 1 cm less than the opening.
 pub fn fits(object: &Object, opening_m: f64) -> bool {
     let Some((low, high)) = object.mesh.bounds() else { return false };
     let mut extents: [f64; 3] = (high - low).into();
@@ -23,8 +24,8 @@ pub fn fits(object: &Object, opening_m: f64) -> bool {
     extents[0] >= LEAST_M && extents[1] <= opening_m - 0.01
 }
 
-/// `count` objects of all families that [`fits`] allows, drawn by seed; fewer where the opening is too small for
-/// any.
+/// `count` objects of all families that [`fits`] allows, drawn by seed; fewer where the opening is too small
+/// for any.
 pub fn draw(count: usize, opening_m: f64, seed: u64) -> Vec<Arc<Object>> {
     let mut items: Vec<Arc<Object>> = Vec::with_capacity(count);
     for round in 0..MOST_DRAWS {

@@ -26,6 +26,9 @@ pub use replay::{FailedTrial, Replay, plan_again, replay};
 pub use report::{Cell, Report};
 pub use station::Station;
 
+#[cfg(test)]
+mod tests;
+
 /// Why an evaluation cannot go on.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

@@ -1,4 +1,5 @@
-//! Failed trials, kept so that anyone can look at them: the world's file, the grasp, and what was thought of it.
+//! Failed trials, kept so that anyone can look at them: the world's file, the grasp, and what was thought of
+//! it.
 
 use std::sync::Arc;
 
@@ -162,7 +163,8 @@ pub fn replay(
     again(trial, hand, estimator, trial.command.clone(), trial.attempt.figures.clone(), watch)
 }
 
-/// Looks at the world of a failed trial again, with the same noise, plans as the planner plans today, and executes.
+/// Looks at the world of a failed trial again, with the same noise, plans as the planner plans today, and
+/// executes.
 ///
 /// # Errors
 /// [`EvaluationError`] for a world that cannot be read.

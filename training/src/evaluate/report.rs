@@ -64,8 +64,7 @@ impl Cell {
         let attempts: Vec<&Attempt> = runs.iter().flat_map(|r| &r.attempts).collect();
         let items = runs.iter().map(|r| r.items.len()).sum();
         let successes = attempts.iter().filter(|a| a.class == Class::Success).count();
-        let held: usize =
-            attempts.iter().filter(|a| a.class == Class::Success).map(|a| a.held.len()).sum();
+        let held: usize = attempts.iter().filter(|a| a.class == Class::Success).map(|a| a.held.len()).sum();
         let mut classes = BTreeMap::new();
         let (mut nothing, mut rejected) = (BTreeMap::new(), BTreeMap::new());
         for attempt in &attempts {
@@ -107,7 +106,7 @@ impl Cell {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FamilyRow {
-    /// The objects' name.
+    /// The kind: the objects' name without its number.
     pub name: String,
     /// Executed grasps that meant one.
     pub trials: usize,
@@ -306,12 +305,21 @@ fn published(hand: &str, setup: Option<Setup>) -> String {
     }
 }
 
+/// The kind of an object: its name without the number that tells it from others of its kind, `peg` for `peg 2`.
+fn kind(name: &str) -> &str {
+    match name.rsplit_once(' ') {
+        Some((kind, number)) if number.parse::<u32>().is_ok() => kind,
+        _ => name,
+    }
+}
+
 /// By kind of object, worst first.
 fn families(runs: &[Run]) -> Vec<FamilyRow> {
     let mut rows: BTreeMap<&str, FamilyRow> = BTreeMap::new();
     for item in runs.iter().flat_map(|r| &r.items) {
-        let row = rows.entry(&item.name).or_insert_with(|| FamilyRow {
-            name: item.name.clone(),
+        let name = kind(&item.name);
+        let row = rows.entry(name).or_insert_with(|| FamilyRow {
+            name: name.to_owned(),
             trials: 0,
             successes: 0,
             items: 0,
@@ -321,7 +329,7 @@ fn families(runs: &[Run]) -> Vec<FamilyRow> {
         row.cleared += usize::from(item.cleared);
     }
     for attempt in runs.iter().flat_map(|r| &r.attempts) {
-        if let Some(row) = attempt.meant.as_deref().and_then(|name| rows.get_mut(name)) {
+        if let Some(row) = attempt.meant.as_deref().and_then(|name| rows.get_mut(kind(name))) {
             row.trials += 1;
             row.successes += usize::from(attempt.class == Class::Success);
         }
@@ -330,4 +338,66 @@ fn families(runs: &[Run]) -> Vec<FamilyRow> {
     let rate = |r: &FamilyRow| wilson(r.successes, r.trials).rate;
     rows.sort_by(|a, b| rate(a).total_cmp(&rate(b)).then_with(|| a.name.cmp(&b.name)));
     rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::attempt::Figures;
+    use crate::evaluate::clear::Item;
+
+    fn attempt(setup: Setup, class: Class, held: &[&str]) -> Attempt {
+        Attempt {
+            hand: "leap".into(),
+            setup,
+            run: 0,
+            number: 1,
+            class,
+            other_held: false,
+            meant: (class != Class::NoGrasp).then(|| "peg 2".into()),
+            held: held.iter().map(|h| (*h).to_owned()).collect(),
+            objects: 2,
+            slip_m: 0.0,
+            figures: Figures::default(),
+        }
+    }
+
+    fn run(setup: Setup, attempts: Vec<Attempt>, cleared: [bool; 2]) -> Run {
+        let item = |name: &str, cleared| Item { name: name.into(), cleared, attempts: 1 };
+        let planning_ms = vec![100.0; attempts.len()];
+        let items = vec![item("peg", cleared[0]), item("peg 2", cleared[1])];
+        Run { hand: "leap".into(), setup, run: 0, attempts, items, put_back: 0, planning_ms }
+    }
+
+    #[test]
+    fn the_table_counts_trials_intervals_and_several_at_once() {
+        let clutter = run(
+            Setup::Clutter,
+            vec![
+                attempt(Setup::Clutter, Class::LostLifting, &[]),
+                attempt(Setup::Clutter, Class::Success, &["peg", "peg 2"]),
+            ],
+            [true, true],
+        );
+        let single = run(Setup::Single, vec![attempt(Setup::Single, Class::NoGrasp, &[])], [false, false]);
+        let report = Report::new(Vec::new(), vec![single, clutter]);
+        let rows: Vec<_> = report.cells.iter().map(|c| (c.setup, c.trials, c.successes, c.cleared)).collect();
+        let expected = [(Some(Setup::Single), 1, 0, 0), (Some(Setup::Clutter), 2, 1, 2), (None, 3, 1, 2)];
+        assert_eq!(rows, expected);
+        let overall = &report.cells[2];
+        assert_eq!((overall.held, overall.fgm), (2, 0.5));
+        assert_eq!(overall.attempts_per_object, 0.75);
+        assert_eq!(overall.rate, wilson(1, 3));
+        // Both pegs are of one kind.
+        assert_eq!(report.families.len(), 1);
+        let family = &report.families[0];
+        assert_eq!((family.name.as_str(), family.trials, family.items), ("peg", 2, 4));
+        let text = report.text();
+        assert!(text.contains("3/33.3%") && text.contains("51/98.0%"), "{text}");
+    }
+
+    #[test]
+    fn kinds_lose_their_number_only() {
+        assert_eq!([kind("peg 2"), kind("peg"), kind("power drill")], ["peg", "peg", "power drill"]);
+    }
 }

@@ -21,8 +21,10 @@ mod tests {
 
     #[test]
     fn other_parts_give_other_seeds() {
-        let seeds: BTreeSet<u64> =
-            (0..20).flat_map(|a| (0..20).map(move |b| derive(7, &[a, b]))).chain([derive(7, &[]), derive(8, &[])]).collect();
+        let seeds: BTreeSet<u64> = (0..20)
+            .flat_map(|a| (0..20).map(move |b| derive(7, &[a, b])))
+            .chain([derive(7, &[]), derive(8, &[])])
+            .collect();
         assert_eq!(seeds.len(), 402);
         assert_eq!(derive(7, &[1, 2]), derive(7, &[1, 2]));
     }

@@ -71,8 +71,9 @@ impl Station {
         }
     }
 
-    /// How the planner reads the station's frames: the cube stands centred on the tray, its table height is looked
-    /// for in the frame (a depth camera's bias moves it), only what lies inside the tray's walls may be grasped.
+    /// How the planner reads the station's frames: the cube stands centred on the tray, its table height is
+    /// looked for in the frame (a depth camera's bias moves it), only what lies inside the tray's walls may be
+    /// grasped.
     pub fn scene_options(&self, volume: VolumeKind) -> SceneOptions {
         let options = SceneOptions { volume, ..SceneOptions::default() };
         let half = 0.5 * options.grid.size_m;

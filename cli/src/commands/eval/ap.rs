@@ -13,8 +13,9 @@ use crate::commands::args::{parse_scheme, parse_volume};
 use crate::commands::plan::write_file;
 use crate::{hand_source, local};
 
-/// Plans for the parallel jaw in simulated clutter from several views, and judges the best 50 grasps of each against
-/// the exact scene: collision, emptiness, analytic force closure (Supplementary Note 3). Same seed, same numbers.
+/// Plans for the parallel jaw in simulated clutter from several views, and judges the best 50 grasps of each
+/// against the exact scene: collision, emptiness, analytic force closure (Supplementary Note 3). Same seed,
+/// same numbers.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct ApArgs {
     /// The parallel jaw, by id or folder

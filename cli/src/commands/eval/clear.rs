@@ -29,8 +29,9 @@ enum Which {
     Both,
 }
 
-/// Clears simulated trays with every hand (Supplementary Note 7, Task 1) and prints success rates with their 95 %
-/// intervals, attempts per object, planning times and why grasps failed. Same seed, same attempts, whatever --jobs.
+/// Clears simulated trays with every hand (Supplementary Note 7, Task 1) and prints success rates with their 95
+/// % intervals, attempts per object, planning times and why grasps failed. Same seed, same attempts, whatever
+/// --jobs.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct ClearArgs {
     /// Hands by id (see `graspd hands list`) or folder, separated by commas
@@ -109,8 +110,7 @@ pub(crate) fn run(args: &ClearArgs) -> anyhow::Result<()> {
         workers: jobs,
     };
     if let Some(folder) = &args.failures {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("{}: cannot be made", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
     }
     let trays: usize = settings
         .setups

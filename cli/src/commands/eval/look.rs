@@ -19,8 +19,8 @@ use crate::{hand_source, local};
 /// Width and height of one picture, pixels.
 const PANEL_PX: [usize; 2] = [520, 468];
 
-/// Executes a failed trial of `graspd eval clear --failures` again and says what became of it; draws the world at the
-/// pre-grasp, at contact and at the end, and the depth image that was planned from.
+/// Executes a failed trial of `graspd eval clear --failures` again and says what became of it; draws the world
+/// at the pre-grasp, at contact and at the end, and the depth image that was planned from.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct LookArgs {
     /// File of the trial
@@ -68,7 +68,11 @@ pub(crate) fn run(args: &LookArgs) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     write!(out, "{}", describe(&trial, &result))?;
     if trial.hand_revision != hand.revision {
-        writeln!(out, "the hand has changed since: revision {} then, {} now", trial.hand_revision, hand.revision)?;
+        writeln!(
+            out,
+            "the hand has changed since: revision {} then, {} now",
+            trial.hand_revision, hand.revision
+        )?;
     }
     if let Some(path) = &args.out {
         let station = Station::tray();

@@ -21,12 +21,12 @@ const MOST_TRIANGLES: usize = 200_000;
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Objects")]
 pub(crate) struct ObjectArgs {
-    /// Procedural objects must fit a hand that opens this far, millimetres; the narrowest of the paper's seven if
-    /// left out
+    /// Procedural objects must fit a hand that opens this far, millimetres; the narrowest of the paper's seven
+    /// if left out
     #[arg(long, value_name = "MM", value_parser = clap::value_parser!(u32).range(30..=500))]
     opening: Option<u32>,
-    /// Grasp the meshes (OBJ, STL; closed, z up) of this folder instead, in the order of their names, again from the
-    /// first where more objects are asked for than there are
+    /// Grasp the meshes (OBJ, STL; closed, z up) of this folder instead, in the order of their names, again
+    /// from the first where more objects are asked for than there are
     #[arg(long, value_name = "DIR", conflicts_with = "opening")]
     meshes: Option<PathBuf>,
     /// Metres in a unit of the meshes: 0.001 for millimetres
@@ -41,7 +41,7 @@ impl ObjectArgs {
     /// For an opening that nothing fits, and meshes that cannot be read or are no closed solids.
     pub(crate) fn objects(&self, count: usize, seed: u64) -> anyhow::Result<(Vec<Arc<Object>>, String)> {
         if let Some(folder) = &self.meshes {
-            return self.from_folder(folder, count);
+            return self.of_folder(folder, count);
         }
         let opening_m = self.opening.map_or_else(narrowest_m, |mm| f64::from(mm) / 1e3);
         let objects = draw(count, opening_m, seed);
@@ -59,7 +59,7 @@ impl ObjectArgs {
         Ok((objects, about))
     }
 
-    fn from_folder(&self, folder: &Path, count: usize) -> anyhow::Result<(Vec<Arc<Object>>, String)> {
+    fn of_folder(&self, folder: &Path, count: usize) -> anyhow::Result<(Vec<Arc<Object>>, String)> {
         let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
         let mut paths: Vec<PathBuf> =
             entries.map(|entry| Ok(entry?.path())).collect::<Result<_, std::io::Error>>()?;

@@ -28,8 +28,8 @@ const SAME_M: f64 = 1e-4;
 /// Friction coefficients at which grasps are scored, from the easiest. The paper's AP averages the last five.
 pub const FRICTIONS: [f64; 6] = [1.2, 1.0, 0.8, 0.6, 0.4, 0.2];
 
-/// A parallel-jaw grasp. The hand frame has z along the approach and y along the closing direction; its origin lies
-/// between the fingers, [`DEPTH_M`] behind their tips.
+/// A parallel-jaw grasp. The hand frame has z along the approach and y along the closing direction; its origin
+/// lies between the fingers, [`DEPTH_M`] behind their tips.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JawGrasp {
     /// Pose of the gripper, world frame.
@@ -97,16 +97,17 @@ pub fn judge(grasp: &JawGrasp, points: &[Point3<f64>], target: &Target<'_>) -> V
     }
     match contacts(grasp, target) {
         None => Verdict::NoClosure,
-        Some(contacts) => smallest_friction(&contacts)
-            .map_or(Verdict::NoClosure, |friction| Verdict::Holds { friction }),
+        Some(contacts) => {
+            smallest_friction(&contacts).map_or(Verdict::NoClosure, |friction| Verdict::Holds { friction })
+        }
     }
 }
 
 /// A point on a surface, with its normal.
 type Contact = (Point3<f64>, Unit<Vector3<f64>>);
 
-/// Where the jaws meet the object: rays go from each jaw to the other, in pairs on one line; the pair with the widest
-/// chord touches first once the object has slid to the middle.
+/// Where the jaws meet the object: rays go from each jaw to the other, in pairs on one line; the pair with the
+/// widest chord touches first once the object has slid to the middle.
 ///
 /// The benchmark closes along one line, through the finger tips' middle, in a signed distance grid; this jaw is
 /// three times as deep as the benchmark's, so that all of the pads may touch, and the surface is exact.
@@ -148,8 +149,8 @@ fn contacts(grasp: &JawGrasp, target: &Target<'_>) -> Option<[Contact; 2]> {
     best.map(|(_, _, pair)| pair)
 }
 
-/// Nguyen's antipodal test (1988) at each friction, from the easiest, until the first that fails: the line through
-/// both contacts lies in both friction cones. As in the benchmark the side of a normal does not count.
+/// Nguyen's antipodal test (1988) at each friction, from the easiest, until the first that fails: the line
+/// through both contacts lies in both friction cones. As in the benchmark the side of a normal does not count.
 fn smallest_friction(contacts: &[Contact; 2]) -> Option<f64> {
     let line = Unit::try_new(contacts[1].0 - contacts[0].0, 1e-9)?;
     let angle = |(_, normal): &Contact| line.dot(normal).abs().min(1.0).acos();

@@ -1,5 +1,5 @@
-//! Average precision of the parallel jaw, as Supplementary Note 3 measures it: many grasps a view, judged analytically against
-//! the exact scene instead of being executed.
+//! Average precision of the parallel jaw, as Supplementary Note 3 measures it: many grasps a view, judged
+//! analytically against the exact scene instead of being executed.
 
 mod jaw;
 mod precision;

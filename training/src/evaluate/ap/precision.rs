@@ -30,8 +30,8 @@ pub fn suppress(poses: &[Isometry3<f64>]) -> Vec<usize> {
     kept
 }
 
-/// Which of the grasps, best first, each on the object `objects[i]`, are scored: at most [`PER_OBJECT`] on one object
-/// and [`TOP`] in all.
+/// Which of the grasps, best first, each on the object `objects[i]`, are scored: at most [`PER_OBJECT`] on one
+/// object and [`TOP`] in all.
 pub fn select(objects: &[usize]) -> Vec<usize> {
     let mut counts = std::collections::BTreeMap::new();
     let few = objects.iter().enumerate().filter(|(_, object)| {
@@ -42,8 +42,8 @@ pub fn select(objects: &[usize]) -> Vec<usize> {
     few.map(|(i, _)| i).take(TOP).collect()
 }
 
-/// Mean precision at k, k = 1 to [`TOP`], of one view at friction `mu`. Verdicts are best first; a grasp that is missing counts as
-/// one that failed.
+/// Mean precision at k, k = 1 to [`TOP`], of one view at friction `mu`. Verdicts are best first; a grasp that
+/// is missing counts as one that failed.
 pub fn average_precision(verdicts: &[Verdict], mu: f64) -> f64 {
     let (mut good, mut sum) = (0usize, 0.0);
     for k in 1..=TOP {
@@ -73,7 +73,8 @@ impl Precision {
             100.0 * sum / views.len().max(1) as f64
         };
         let by_friction: Vec<(f64, f64)> = FRICTIONS.iter().rev().map(|&mu| (mu, mean_at(mu))).collect();
-        let mean = |values: &[(f64, f64)]| values.iter().map(|v| v.1).sum::<f64>() / values.len().max(1) as f64;
+        let mean =
+            |values: &[(f64, f64)]| values.iter().map(|v| v.1).sum::<f64>() / values.len().max(1) as f64;
         let ap = mean(&by_friction[..by_friction.len() - 1]);
         Self { ap, ap_six: mean(&by_friction), by_friction }
     }

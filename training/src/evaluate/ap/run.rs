@@ -11,6 +11,7 @@ use graspd_planner::grasp::Grasp;
 use graspd_planner::options::{PlanOptions, Scheme, VolumeKind};
 use graspd_planner::{plan, scene};
 use graspd_sim::clutter::{Arrangement, arrange, assortment};
+use graspd_sim::object::Object;
 use graspd_sim::world::World;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -58,8 +59,8 @@ pub struct VolumeResult {
     pub precision: Precision,
     /// Grasps that were scored, mean over views.
     pub grasps: f64,
-    /// Scored grasps that collide, are empty, have no force closure at any friction, and that hold at some; shares of
-    /// the scored.
+    /// Scored grasps that collide, are empty, have no force closure at any friction, and that hold at some;
+    /// shares of the scored.
     pub shares: [f64; 4],
     /// From the frame to the grasps, on one thread, median, milliseconds.
     pub planning_median_ms: f64,
@@ -82,8 +83,8 @@ struct View {
     planning_ms: f64,
 }
 
-/// Measures AP. The numbers do not depend on the number of workers. `seen` is told after each view how many of how many
-/// are done; it is called from several threads.
+/// Measures AP. The numbers do not depend on the number of workers. `seen` is told after each view how many of
+/// how many are done; it is called from several threads.
 ///
 /// # Errors
 /// [`EvaluationError`] for settings of no use, and for what the planner refuses.
@@ -167,9 +168,8 @@ fn validate(settings: &ApSettings) -> Result<(), EvaluationError> {
 fn result(kind: VolumeKind, views: &[&View]) -> VolumeResult {
     let verdicts: Vec<Vec<Verdict>> = views.iter().map(|v| v.verdicts.clone()).collect();
     let all: Vec<Verdict> = verdicts.concat();
-    let share = |is: fn(&Verdict) -> bool| {
-        all.iter().filter(|v| is(v)).count() as f64 / all.len().max(1) as f64
-    };
+    let share =
+        |is: fn(&Verdict) -> bool| all.iter().filter(|v| is(v)).count() as f64 / all.len().max(1) as f64;
     let times: Vec<f64> = views.iter().map(|v| v.planning_ms).collect();
     let counts: Vec<f64> = verdicts.iter().map(|v| v.len() as f64).collect();
     VolumeResult {
@@ -238,7 +238,8 @@ fn look_around(
     Ok(views)
 }
 
-/// Where a camera stands: from 25° to 65° from the vertical, all around, 0.7 m away, the views of a scene evenly spread.
+/// Where a camera stands: from 25° to 65° from the vertical, all around, 0.7 m away, the views of a scene
+/// evenly spread.
 fn eye(views: usize, view: usize) -> Point3<f64> {
     let share = (view as f64 + 0.5) / views as f64;
     let polar = (25.0 + 40.0 * share).to_radians();
@@ -266,8 +267,8 @@ fn jaw_grasp(hand: &Hand, grasp: &Grasp) -> Option<JawGrasp> {
     })
 }
 
-/// Takes the benchmark's gripper frame (z along the approach, y along the closing direction, fingers from −2 to 6 cm)
-/// to the hand frame, from the pads of the open hand: their tips are the fingers' tips.
+/// Takes the benchmark's gripper frame (z along the approach, y along the closing direction, fingers from −2 to
+/// 6 cm) to the hand frame, from the pads of the open hand: their tips are the fingers' tips.
 fn jaw_frame(hand: &Hand) -> Isometry3<f64> {
     let poses = hand.tree.body_poses(&hand.actuation.joints(&hand.actuation.open()));
     let links = hand.tree.link_poses(&poses);
@@ -284,39 +285,46 @@ fn jaw_frame(hand: &Hand) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(origin), UnitQuaternion::from_rotation_matrix(&rotation))
 }
 
+/// An object that really lies on the table.
+struct Lying {
+    object: Arc<Object>,
+    world_from_object: Isometry3<f64>,
+    /// Points of its surface, world frame.
+    points: Vec<Point3<f64>>,
+}
+
 /// What really lies on the table.
 struct Exact {
-    objects: Vec<(Arc<graspd_sim::object::Object>, Isometry3<f64>, Vec<Point3<f64>>)>,
+    objects: Vec<Lying>,
     /// Points of all objects and of the table, world frame.
     points: Vec<Point3<f64>>,
 }
 
 impl Exact {
     fn of(world: &World) -> Self {
-        let objects: Vec<_> = world
+        let objects: Vec<Lying> = world
             .ids()
             .into_iter()
             .filter_map(|id| {
-                let (object, pose) = (Arc::clone(world.object(id)?), world.pose(id)?);
-                let points: Vec<Point3<f64>> = sample(&object.mesh).iter().map(|p| pose * p).collect();
-                Some((object, pose, points))
+                let (object, world_from_object) = (Arc::clone(world.object(id)?), world.pose(id)?);
+                let points = sample(&object.mesh).iter().map(|p| world_from_object * p).collect();
+                Some(Lying { object, world_from_object, points })
             })
             .collect();
-        let points =
-            objects.iter().flat_map(|(_, _, points)| points.iter().copied()).chain(table_points()).collect();
+        let points = objects.iter().flat_map(|o| o.points.iter().copied()).chain(table_points()).collect();
         Self { objects, points }
     }
 
     /// The object nearest to the middle of the jaws; none in an empty scene.
     ///
-    /// The benchmark takes the gripper's origin, which lies 1 to 4 cm behind its tips; here it lies 6 cm behind them, nearer to
-    /// a neighbour than to what is between the jaws.
+    /// The benchmark takes the gripper's origin, which lies 1 to 4 cm behind its tips; here it lies 6 cm behind
+    /// them, nearer to a neighbour than to what is between the jaws.
     fn nearest(&self, grasp: &JawGrasp) -> Option<usize> {
         let middle = grasp.world_from_jaw * Point3::new(0.0, 0.0, 0.5 * DEPTH_M);
         let distance = |points: &[Point3<f64>]| {
             points.iter().map(|p| (p - middle).norm_squared()).fold(f64::INFINITY, f64::min)
         };
-        let distances = self.objects.iter().map(|(_, _, points)| distance(points));
+        let distances = self.objects.iter().map(|o| distance(&o.points));
         distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
     }
 
@@ -328,8 +336,9 @@ impl Exact {
         select(&nearest)
             .into_iter()
             .map(|i| {
-                let (object, pose, _) = &self.objects[nearest[i]];
-                judge(kept[i], &self.points, &Target { mesh: &object.mesh, world_from_mesh: *pose })
+                let Lying { object, world_from_object, .. } = &self.objects[nearest[i]];
+                let target = Target { mesh: &object.mesh, world_from_mesh: *world_from_object };
+                judge(kept[i], &self.points, &target)
             })
             .collect()
     }

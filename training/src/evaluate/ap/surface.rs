@@ -14,8 +14,8 @@ const TABLE_THICKNESS_M: f64 = 0.05;
 /// Points of a triangle lie this densely before they are thinned, metres.
 const FINE_M: f64 = 0.002;
 
-/// Points of a mesh's surface, one per cube of [`SPACING_M`] (the mean of the dense samples in it), in the mesh's
-/// frame and in an order that depends on nothing but the mesh.
+/// Points of a mesh's surface, one per cube of [`SPACING_M`] (the mean of the dense samples in it), in the
+/// mesh's frame and in an order that depends on nothing but the mesh.
 pub fn sample(mesh: &Mesh) -> Vec<Point3<f64>> {
     let mut cubes: BTreeMap<[i64; 3], (Vector3<f64>, f64)> = BTreeMap::new();
     for triangle in 0..mesh.triangles.len() {
@@ -36,8 +36,8 @@ pub fn sample(mesh: &Mesh) -> Vec<Point3<f64>> {
     cubes.into_values().map(|(sum, count)| Point3::from(sum / count)).collect()
 }
 
-/// Points of the table around the world's origin: a block of 1.0 x 1.0 x 0.05 m below z = 0, of which a gripper can
-/// only reach the top layers.
+/// Points of the table around the world's origin: a block of 1.0 x 1.0 x 0.05 m below z = 0, of which a gripper
+/// can only reach the top layers.
 pub fn table_points() -> Vec<Point3<f64>> {
     let side = (2.0 * TABLE_HALF_M / SPACING_M) as usize;
     let layers = (TABLE_THICKNESS_M / SPACING_M) as usize + 1;

@@ -1,4 +1,5 @@
-//! A small clearing run, end to end: its counts add up, it repeats itself, and its failed trials repeat themselves.
+//! A small clearing run, end to end: its counts add up, it repeats itself, and its failed trials repeat
+//! themselves.
 
 use std::sync::{Arc, Mutex};
 
@@ -7,10 +8,11 @@ use graspd_planner::estimator::Geometric;
 use graspd_planner::options::{PlanOptions, Scheme, VolumeKind};
 use graspd_sim::execute::ExecuteSettings;
 use graspd_sim::object::Object;
-use graspd_training::evaluate::{
+use nalgebra::Vector3;
+
+use super::{
     Attempt, Class, ClearSettings, FailedTrial, Observer, Report, Run, Setup, Station, clear, replay,
 };
-use nalgebra::Vector3;
 
 /// Keeps what fails.
 #[derive(Default)]
