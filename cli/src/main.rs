@@ -17,9 +17,9 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-#[cfg(feature = "sim")]
-use commands::eval;
 use commands::{bench, demo, hands, plan, serve};
+#[cfg(feature = "sim")]
+use commands::{cell, eval};
 
 /// Ranked grasps for any robotic hand from one depth frame, over gRPC.
 #[derive(Debug, Parser)]
@@ -36,6 +36,8 @@ enum Command {
     Hands(hands::HandsArgs),
     Demo(demo::DemoArgs),
     Bench(bench::BenchArgs),
+    #[cfg(feature = "sim")]
+    Cell(cell::CellArgs),
     #[cfg(feature = "sim")]
     Eval(Box<eval::EvalArgs>),
 }
@@ -59,6 +61,8 @@ fn main() -> ExitCode {
         Command::Hands(args) => hands::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Bench(args) => bench::run(args),
+        #[cfg(feature = "sim")]
+        Command::Cell(args) => cell::run(args),
         #[cfg(feature = "sim")]
         Command::Eval(args) => eval::run(args),
     };

@@ -2,6 +2,8 @@
 
 pub(crate) mod args;
 pub(crate) mod bench;
+#[cfg(feature = "sim")]
+pub(crate) mod cell;
 pub(crate) mod demo;
 #[cfg(feature = "sim")]
 pub(crate) mod eval;

@@ -25,6 +25,8 @@ mod stream;
 pub use client::{Client, ClientConfig};
 pub use error::{CallError, ClientError, Violation};
 pub use frame::{depth_frame_f32, depth_frame_u16};
+/// Every message of the protocol, for what the names below leave out.
+pub use graspd_proto::v1 as wire;
 pub use graspd_proto::v1::{
     CameraIntrinsics, DepthFrame, Grasp, Hand, HandTask, PlanGraspsRequest, PlanGraspsResponse,
     PlanMultiHandRequest, PlanOptions, SceneOptions,

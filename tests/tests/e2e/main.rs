@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod bad_input;
+mod cell;
 mod deadlines;
 mod frames;
 mod hands;

@@ -1,0 +1,130 @@
+//! What the values of `cell.toml` must be.
+
+use super::{CellConfig, ConfigError};
+
+impl CellConfig {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] with the first field that is wrong, what was found and what was expected.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        self.check_planner()?;
+        self.check_places()?;
+        let share = |field, x: f64| inside(field, x, x > 0.0 && x <= 1.0, "more than 0, at most 1");
+        share("hand.speed", self.hand.speed)?;
+        share("hand.force", self.hand.force)?;
+        positive("camera.max_age_s", self.camera.max_age_s, 3600.0)?;
+        positive("arm.speed_m_s", self.arm.speed_m_s, 10.0)?;
+        positive("arm.acceleration_m_s2", self.arm.acceleration_m_s2, 100.0)?;
+        positive("arm.approach_speed_m_s", self.arm.approach_speed_m_s, 10.0)?;
+        positive("arm.carry_speed_m_s", self.arm.carry_speed_m_s, 10.0)?;
+        let t = &self.timeouts;
+        for (field, value) in [
+            ("timeouts.capture_s", t.capture_s),
+            ("timeouts.plan_s", t.plan_s),
+            ("timeouts.move_s", t.move_s),
+            ("timeouts.grip_s", t.grip_s),
+            ("timeouts.state_s", t.state_s),
+            ("timeouts.clear_s", t.clear_s),
+            ("recovery.longest_backoff_s", self.recovery.longest_backoff_s),
+        ] {
+            positive(field, value, 3600.0)?;
+        }
+        inside("timeouts.patience", t.patience, (1.0..=1000.0).contains(&t.patience), "1 to 1000")?;
+        let r = &self.recovery;
+        let short = r.backoff_s > 0.0 && r.backoff_s <= r.longest_backoff_s;
+        inside("recovery.backoff_s", r.backoff_s, short, "more than 0, at most recovery.longest_backoff_s")?;
+        count("recovery.tries", r.tries, 0..=1000)?;
+        count("recovery.empty_frames", r.empty_frames, 1..=1000)?;
+        count("recovery.no_grasp_frames", r.no_grasp_frames, 1..=1000)?;
+        count("recovery.failures_in_a_row", r.failures_in_a_row, 1..=10_000)?;
+        count("run.trials", self.run.trials, 1..=1_000_000)?;
+        positive("run.time_limit_s", self.run.time_limit_s, 1e7)
+    }
+
+    fn check_planner(&self) -> Result<(), ConfigError> {
+        let p = &self.planner;
+        if !p.embedded && p.endpoint.is_empty() {
+            return Err(wrong(
+                "planner.endpoint",
+                "an empty text",
+                "an address such as http://127.0.0.1:50051",
+            ));
+        }
+        if self.hand.id.is_empty() || self.hand.id.contains('/') {
+            return Err(wrong(
+                "hand.id",
+                format!("{:?}", self.hand.id),
+                "the id of a hand, for example leap",
+            ));
+        }
+        count("planner.batch", p.batch, 1..=4096)?;
+        count("planner.scheme[0]", p.scheme[0], 1..=10_000)?;
+        count("planner.scheme[1]", p.scheme[1], 0..=p.scheme[0])?;
+        count("planner.max_grasps", p.max_grasps, 1..=1000)?;
+        inside("planner.min_score", p.min_score, (0.0..=1.0).contains(&p.min_score), "0 to 1")?;
+        positive("planner.friction", p.friction, 5.0)?;
+        positive("planner.pregrasp_offset_m", p.pregrasp_offset_m, 1.0)?;
+        let tilt = p.max_tilt_rad.unwrap_or(0.0);
+        inside("planner.max_tilt_rad", tilt, (0.0..=std::f64::consts::PI).contains(&tilt), "0 to pi")
+    }
+
+    fn check_places(&self) -> Result<(), ConfigError> {
+        let t = &self.tray;
+        point("tray.position_m", &t.position_m)?;
+        point("drop.position_m", &self.drop.position_m)?;
+        point("camera.position_m", &self.camera.position_m)?;
+        point("camera.looks_at_m", &self.camera.looks_at_m)?;
+        if let Some(wait) = &self.motion.wait_position_m {
+            point("motion.wait_position_m", wait)?;
+        }
+        inside("tray.yaw_rad", t.yaw_rad, t.yaw_rad.abs() <= 7.0, "-7 to 7")?;
+        inside("drop.yaw_rad", self.drop.yaw_rad, self.drop.yaw_rad.abs() <= 7.0, "-7 to 7")?;
+        inside("tray.volume_m", t.volume_m, (0.1..=2.0).contains(&t.volume_m), "0.1 to 2")?;
+        for (field, value) in [("tray.width_m", t.width_m), ("tray.length_m", t.length_m)] {
+            let fits = value > 0.02 && value <= t.volume_m;
+            inside(field, value, fits, "more than 0.02, at most tray.volume_m, the edge of the volume")?;
+        }
+        inside(
+            "tray.wall_clearance_m",
+            t.wall_clearance_m,
+            t.wall_clearance_m >= 0.0 && 2.0 * t.wall_clearance_m < t.width_m.min(t.length_m),
+            "0 or more, less than half the tray",
+        )?;
+        let floor = t.floor_clearance_m;
+        inside("tray.floor_clearance_m", floor, (0.0..=0.05).contains(&floor), "0 to 0.05")?;
+        positive("tray.height_m", t.height_m, t.volume_m)?;
+        positive("motion.travel_height_m", self.motion.travel_height_m, 5.0)?;
+        positive("motion.lift_m", self.motion.lift_m, 2.0)?;
+        let over =
+            (0..2).all(|i| (self.drop.position_m[i] - t.position_m[i]).abs() < t.volume_m / 2.0 - 0.02);
+        inside(
+            "drop.position_m",
+            format!("{:?}", self.drop.position_m),
+            !over,
+            "a place beside the tray's volume, else what is dropped is picked again",
+        )
+    }
+}
+
+fn wrong(field: &str, found: impl ToString, expected: impl ToString) -> ConfigError {
+    ConfigError::Value { field: field.to_owned(), found: found.to_string(), expected: expected.to_string() }
+}
+
+fn inside(field: &str, found: impl ToString, ok: bool, expected: &str) -> Result<(), ConfigError> {
+    if ok { Ok(()) } else { Err(wrong(field, found, expected)) }
+}
+
+fn positive(field: &str, value: f64, most: f64) -> Result<(), ConfigError> {
+    let ok = value > 0.0 && value <= most;
+    inside(field, value, ok, &format!("a number above 0, at most {most}"))
+}
+
+fn count(field: &str, value: u32, range: std::ops::RangeInclusive<u32>) -> Result<(), ConfigError> {
+    inside(field, value, range.contains(&value), &format!("{} to {}", range.start(), range.end()))
+}
+
+fn point(field: &str, value: &[f64; 3]) -> Result<(), ConfigError> {
+    let ok = value.iter().all(|x| x.is_finite() && x.abs() <= 100.0);
+    inside(field, format!("{value:?}"), ok, "three numbers of metres, each within 100")
+}

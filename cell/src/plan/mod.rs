@@ -1,0 +1,80 @@
+//! Asking for grasps: the question, the answer, and who answers.
+
+mod answer;
+mod client;
+mod question;
+
+use std::fmt::Debug;
+use std::time::Duration;
+
+use async_trait::async_trait;
+
+pub use answer::{Answer, EmptyReason, NoGrasp, PlannedGrasp};
+pub use client::PlannerClient;
+pub use question::{BoxRecord, Question, ReachingChoice, WorkspaceRecord};
+
+use crate::frame::Frame;
+use crate::steps::Trouble;
+
+/// Why a planner has no answer.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PlannerError {
+    /// Nobody is there, or there is no room: the same question may be answered a moment later.
+    #[error("planner away: {0}")]
+    Away(String),
+    /// It is there and failed, or was too late.
+    #[error("planner failed: {0}")]
+    Failed(String),
+    /// It refuses the question, and would do so again.
+    #[error("planner refused: {0}")]
+    Refused(String),
+}
+
+impl PlannerError {
+    /// What kind of trouble this is.
+    pub fn trouble(&self) -> Trouble {
+        match self {
+            Self::Away(_) => Trouble::PlannerAway,
+            Self::Failed(_) => Trouble::PlannerFailed,
+            Self::Refused(_) => Trouble::PlannerRefused,
+        }
+    }
+}
+
+/// What a cell has to know of its hand; told by the planner, so that both mean the same hand.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HandFacts {
+    /// Id, for example `leap`.
+    pub id: String,
+    /// Revision of its description.
+    pub revision: String,
+    /// Direction in the hand frame along which it reaches for objects, unit length.
+    pub approach: nalgebra::Unit<nalgebra::Vector3<f64>>,
+    /// Axis in the hand frame from which its rotation about the approach is measured.
+    pub lateral: nalgebra::Vector3<f64>,
+    /// Point in the hand frame between the half-closed fingers, metres.
+    pub tool_point: nalgebra::Vector3<f64>,
+    /// Its actuators: name and position with the hand open.
+    pub actuators: Vec<(String, f64)>,
+}
+
+/// Who plans grasps.
+#[async_trait]
+pub trait GraspPlanner: Send + Sync + Debug {
+    /// Facts about a hand.
+    ///
+    /// # Errors
+    /// [`PlannerError`].
+    async fn hand(&self, id: &str, timeout: Duration) -> Result<HandFacts, PlannerError>;
+
+    /// Ranked grasps for one frame. No grasp is not an error: the answer says why.
+    ///
+    /// # Errors
+    /// [`PlannerError`].
+    async fn plan(
+        &self,
+        frame: &Frame,
+        question: &Question,
+        timeout: Duration,
+    ) -> Result<Answer, PlannerError>;
+}

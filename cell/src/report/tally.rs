@@ -1,0 +1,89 @@
+//! Counting attempts.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::outcome::{FailureClass, Outcome};
+use crate::record::AttemptRecord;
+
+/// Everything counted. Attempts are `successes + failures + not_executed + unknown`, always.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tally {
+    /// Attempts that ended.
+    pub attempts: u32,
+    /// Grasp trials: attempts whose straight approach began (Supplementary Note 7: grasp execution times).
+    pub trials: u32,
+    /// Objects picked from the tray and dropped at the targeted place, one for each such trial.
+    pub successes: u32,
+    /// Trials in which the hand felt the object at the drop pose.
+    pub felt: u32,
+    /// Failed trials by class.
+    pub failures: BTreeMap<FailureClass, u32>,
+    /// Attempts that executed nothing.
+    pub not_executed: u32,
+    /// Attempts of which nobody knows how they ended.
+    pub unknown: u32,
+    /// Failed trials since the last success.
+    pub failures_in_a_row: u32,
+    /// Objects that a witness saw arrive, lie elsewhere, and lie in the tray at the end.
+    pub delivered: Option<u32>,
+    /// See [`Tally::delivered`].
+    pub lost: Option<u32>,
+    /// See [`Tally::delivered`].
+    pub in_tray: Option<u32>,
+    /// Planning time of each answer, as the server measured it, seconds.
+    pub plan_s: Vec<f64>,
+    /// Trouble met and mended.
+    pub troubles: u32,
+    /// The last failure.
+    pub last_failure: Option<String>,
+}
+
+impl Tally {
+    /// Counts an attempt that ended.
+    pub fn add(&mut self, record: &AttemptRecord) {
+        self.attempts += 1;
+        self.trials += u32::from(record.trial);
+        self.felt += u32::from(record.felt);
+        self.troubles += record.steps.iter().map(|s| s.troubles.len() as u32).sum::<u32>();
+        self.plan_s.extend(record.answer.iter().map(|a| a.plan_s));
+        if let Some(seen) = &record.witnessed {
+            *self.delivered.get_or_insert(0) += seen.delivered;
+            *self.lost.get_or_insert(0) += seen.lost;
+            self.in_tray = Some(seen.in_tray);
+        }
+        match &record.outcome {
+            Outcome::Success => {
+                self.successes += 1;
+                self.failures_in_a_row = 0;
+            }
+            Outcome::Failed { class, why } => {
+                *self.failures.entry(*class).or_default() += 1;
+                self.failures_in_a_row += 1;
+                self.last_failure = Some(format!("{}: {why}", class.name()));
+            }
+            Outcome::NotExecuted { why } => {
+                self.not_executed += 1;
+                self.last_failure = Some(why.clone());
+            }
+            Outcome::Unknown { why } => {
+                self.unknown += 1;
+                self.last_failure = Some(why.clone());
+            }
+        }
+    }
+
+    /// Success rate: successful grasps / grasp trials (Supplementary Note 7); `None` without a trial.
+    pub fn rate(&self) -> Option<f64> {
+        (self.trials > 0).then(|| f64::from(self.successes) / f64::from(self.trials))
+    }
+
+    /// Median planning time, seconds.
+    pub fn median_plan_s(&self) -> Option<f64> {
+        let mut sorted = self.plan_s.clone();
+        sorted.sort_by(f64::total_cmp);
+        sorted.get(sorted.len() / 2).copied()
+    }
+}

@@ -1,0 +1,104 @@
+//! The attempt that is under way.
+
+use nalgebra::Isometry3;
+
+use crate::frame::Frame;
+use crate::outcome::{FailureClass, Outcome};
+use crate::plan::{Answer, PlannedGrasp, Question};
+use crate::record::{AnswerRecord, AttemptRecord, Chosen, StepRecord, frame_stem};
+use crate::witness::Witnessed;
+
+/// A grasp this near to one that failed would fail again: metres, radians.
+const SAME_GRASP: (f64, f64) = (0.01, 0.2);
+
+/// From the look into the tray to the open hand.
+#[derive(Debug)]
+pub(super) struct Attempt {
+    pub(super) number: u32,
+    pub(super) frame: Option<Frame>,
+    pub(super) question: Option<Question>,
+    pub(super) answer: Option<Answer>,
+    /// Ranks in the order in which they are tried.
+    order: Vec<usize>,
+    /// Place in `order`.
+    at: usize,
+    pub(super) steps: Vec<StepRecord>,
+    /// The straight approach began.
+    pub(super) trial: bool,
+    /// The hand felt the object at the drop pose.
+    pub(super) felt: bool,
+    /// It has failed, and is being brought to an end.
+    pub(super) failed: Option<(FailureClass, String)>,
+    /// The hand is among the objects: the way out is straight back along the approach.
+    pub(super) inside: bool,
+    /// The full lift is out of reach.
+    pub(super) lift_short: bool,
+}
+
+impl Attempt {
+    pub(super) fn new(number: u32) -> Self {
+        Self {
+            number,
+            frame: None,
+            question: None,
+            answer: None,
+            order: Vec::new(),
+            at: 0,
+            steps: Vec::new(),
+            trial: false,
+            felt: false,
+            failed: None,
+            inside: false,
+            lift_short: false,
+        }
+    }
+
+    /// Takes an answer; grasps near to those that failed come last.
+    pub(super) fn take(&mut self, answer: Answer, failed: &[Isometry3<f64>]) {
+        let near = |grasp: &PlannedGrasp| {
+            let pose = grasp.world_from_hand.isometry();
+            failed.iter().any(|f| {
+                let between = f.inverse() * pose;
+                between.translation.vector.norm() < SAME_GRASP.0 && between.rotation.angle() < SAME_GRASP.1
+            })
+        };
+        self.order = (0..answer.grasps.len()).collect();
+        self.order.sort_by_key(|&rank| near(&answer.grasps[rank]));
+        self.at = 0;
+        self.answer = Some(answer);
+    }
+
+    /// The grasp that is tried.
+    pub(super) fn grasp(&self) -> Option<(usize, &PlannedGrasp)> {
+        let rank = *self.order.get(self.at)?;
+        self.answer.as_ref()?.grasps.get(rank).map(|grasp| (rank, grasp))
+    }
+
+    /// Goes to the next grasp; false when there is none.
+    pub(super) fn next_grasp(&mut self) -> bool {
+        let more = self.at + 1 < self.order.len();
+        self.at += usize::from(more);
+        more
+    }
+
+    /// Sets why it failed; the first reason stays.
+    pub(super) fn fail(&mut self, class: FailureClass, why: &str) {
+        self.failed.get_or_insert_with(|| (class, why.to_owned()));
+    }
+
+    pub(super) fn record(self, outcome: Outcome, witnessed: Option<Witnessed>) -> AttemptRecord {
+        let chosen = self.grasp().map(|(rank, grasp)| Chosen { rank, grasp: grasp.clone() });
+        AttemptRecord {
+            attempt: self.number,
+            frame: self.frame.is_some().then(|| frame_stem(self.number)),
+            question: self.question,
+            answer: self.answer.as_ref().map(AnswerRecord::from),
+            chosen,
+            steps: self.steps,
+            trial: self.trial,
+            felt: self.felt,
+            witnessed,
+            outcome,
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Looking into the tray and asking for grasps.
+
+use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+use super::calls::{Pace, Problem, Who, answered, seconds};
+use super::{Next, Run};
+use crate::config::TrayConfig;
+use crate::frame::Frame;
+use crate::outcome::{Holding, Outcome};
+use crate::plan::{Question, ReachingChoice};
+use crate::steps::{Step, Trouble};
+
+impl Run<'_> {
+    /// Out of the camera's view. The first time over the dropping place, where the hand opens: whatever an earlier run
+    /// left in it lands there, and a drop pose out of reach is found before anything is grasped.
+    pub(super) async fn clear_view(&mut self) -> Result<Next, Problem> {
+        self.raise(Pace::Travel).await?;
+        if !self.prepared {
+            self.move_to(&self.places.drop, Pace::Carry).await?;
+            self.open_hand().await?;
+            self.holding = Holding::Nothing;
+            self.prepared = true;
+        }
+        self.move_to(&self.places.wait, Pace::Travel).await?;
+        Ok(Next::Go(Step::Capture))
+    }
+
+    pub(super) async fn capture(&mut self) -> Result<Next, Problem> {
+        let device = self.capture_frame().await?;
+        self.last_exposure = Some(device.sequence);
+        let camera = &self.config.camera;
+        let frame = Frame::of(&device, &looking(&camera.position_m, &camera.looks_at_m))
+            .map_err(|e| Problem::broken(Who::Camera, e))?;
+        if let Some(recorder) = &self.recorder {
+            // Small and rare: a thread of its own would cost more than it saves.
+            let kept = recorder.frame(self.attempt.number, &frame);
+            self.note(kept);
+        }
+        self.attempt.frame = Some(frame);
+        Ok(Next::Go(Step::Plan))
+    }
+
+    pub(super) async fn plan(&mut self) -> Result<Next, Problem> {
+        if self.attempt.question.is_none() {
+            let question = self.question().as_recorded().map_err(|e| Problem::broken(Who::Planner, e))?;
+            self.attempt.question = Some(question);
+        }
+        let (Some(frame), Some(question)) = (&self.attempt.frame, &self.attempt.question) else {
+            return Err(Problem::broken(Who::Camera, "no frame to plan from"));
+        };
+        let limit = seconds(self.config.timeouts.plan_s);
+        let answer = answered(limit, self.cell.planner.plan(frame, question, limit)).await?;
+        let (why, rejections) = (answer.no_grasp.clone(), answer.rejections());
+        self.attempt.take(answer, &self.failed_poses);
+        let Some(why) = why else {
+            self.empty_frames = 0;
+            return Ok(Next::Go(Step::Open));
+        };
+        if why.reason.is_empty_tray() {
+            self.empty_frames += 1;
+            return Ok(Next::Finished(Outcome::NotExecuted { why: why.reason.name().to_owned() }));
+        }
+        self.empty_frames = 0;
+        let rejections = if rejections.is_empty() { rejections } else { format!(" ({rejections})") };
+        let text = format!("{}: {}{rejections}", why.reason.name(), why.nearest_fix);
+        Err(Problem { who: Who::Planner, trouble: Trouble::NoGrasp, text })
+    }
+
+    /// The question for this attempt: a seed of its own, and every second time after no grasp any direction;
+    /// likewise for two of four trials after two failures in a row.
+    fn question(&self) -> Question {
+        let (planner, tray) = (&self.config.planner, &self.config.tray);
+        let other = (self.idle_attempts + self.tally.failures_in_a_row / 2) % 2 == 1;
+        // What is flat disappears under a floor that is told too high: an empty tray is asked about as it is.
+        let tray = TrayConfig {
+            floor_clearance_m: if self.empty_frames > 0 { 0.0 } else { tray.floor_clearance_m },
+            ..tray.clone()
+        };
+        Question {
+            hand: self.config.hand.id.clone(),
+            seed: self.config.run.seed.wrapping_add(u64::from(self.attempt.number) - 1),
+            reaching: if other { ReachingChoice::Free } else { planner.reaching },
+            max_tilt_rad: planner.max_tilt_rad.filter(|_| !other),
+            workspace: tray.workspace(),
+            region: Some(tray.region()),
+            estimator: planner.estimator.clone(),
+            batch: planner.batch,
+            scheme: planner.scheme,
+            max_grasps: planner.max_grasps,
+            min_score: planner.min_score,
+            friction: planner.friction,
+            pregrasp_offset_m: planner.pregrasp_offset_m,
+        }
+    }
+}
+
+/// Pose of an optical frame at `position` that looks at `target`, its upper edge up (along world y when looking
+/// straight down).
+fn looking(position: &[f64; 3], target: &[f64; 3]) -> Isometry3<f64> {
+    let eye = Vector3::from(*position);
+    let z = (Vector3::from(*target) - eye).try_normalize(1e-9).unwrap_or_else(|| -Vector3::z());
+    let x = z.cross(&Vector3::z()).try_normalize(1e-6).or_else(|| z.cross(&Vector3::y()).try_normalize(1e-6));
+    let x = x.unwrap_or_else(Vector3::x);
+    let axes = Matrix3::from_columns(&[x, z.cross(&x), z]);
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+    Isometry3::from_parts(eye.into(), rotation)
+}

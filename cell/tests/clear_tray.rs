@@ -1,0 +1,203 @@
+//! The loop with scripted devices: what it does when nothing goes wrong, and what is kept of it.
+
+// What tests share fails like a test.
+#[allow(clippy::unwrap_used)]
+mod scripted;
+
+use graspd_cell::config::CellConfig;
+use graspd_cell::outcome::{End, Holding, Outcome};
+use graspd_cell::plan::ReachingChoice;
+use graspd_cell::record::{read_attempts, read_run, replay};
+use graspd_cell::steps::Step;
+use graspd_cell::{CellError, clear_tray};
+use scripted::{Fault, Shared, Watcher, config, run};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// A folder that goes with the test.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("graspd-cell-{name}-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&path);
+        Self(path)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn five_objects_are_cleared() {
+    let shared = Shared::new(5);
+    let (report, log) = run(&shared, &config()).await;
+    assert_eq!(report.end, End::Empty);
+    assert_eq!((report.tally.trials, report.tally.successes, report.tally.not_executed), (5, 5, 2));
+    assert_eq!((report.tally.rate(), report.holding), (Some(1.0), Holding::Nothing));
+    assert_eq!((shared.world().delivered, log), (5, vec![]));
+    // Every plan has its own seed.
+    let seeds: Vec<u64> = shared.world().questions.iter().map(|q| q.seed).collect();
+    assert_eq!(seeds, (0..7).collect::<Vec<u64>>());
+    let table = report.to_string();
+    assert!(table.contains("success rate    100.0 % (5 of n = 5 grasp trials)"), "{table}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_run_is_recorded_and_every_attempt_can_be_planned_again() {
+    let folder = Folder::new("record");
+    let shared = Shared::new(2).with_fault(Step::Approach, Fault::Stop, 1);
+    let mut config = config();
+    config.recording.folder = Some(folder.0.clone());
+    let (report, _) = run(&shared, &config).await;
+    assert_eq!((report.tally.trials, report.tally.successes, &report.record_trouble), (3, 2, &None));
+    let info = read_run(&folder.0).unwrap();
+    assert_eq!((info.config, info.hand_revision.as_str()), (config.clone(), "r1"));
+    let attempts = read_attempts(&folder.0).unwrap();
+    assert_eq!(attempts.len() as u32, report.tally.attempts);
+    assert!(matches!(&attempts[0].outcome, Outcome::Failed { .. }) && attempts[0].trial);
+    assert_eq!(attempts[1].outcome, Outcome::Success);
+    // The grasp that failed is not tried first again.
+    assert_eq!(attempts[0].chosen.as_ref().unwrap().rank, 0);
+    assert_eq!(attempts[1].chosen.as_ref().unwrap().rank, 1);
+    assert!(
+        attempts[1].steps.iter().map(|s| s.step).eq(Step::ALL.into_iter().filter(|s| *s != Step::Retreat))
+    );
+    {
+        // The planner answers as it did while the objects were there.
+        let mut world = shared.world();
+        world.in_tray = 2;
+        world.delivered = 0;
+    }
+    for attempt in &attempts[..2] {
+        let again = replay(&shared, &folder.0, attempt.attempt, Duration::from_secs(5)).await.unwrap();
+        assert!(again.same && !again.hand_changed && again.apart == Some((0.0, 0.0)), "{again:?}");
+    }
+    let missing = replay(&shared, &folder.0, 99, Duration::from_secs(5)).await.unwrap_err().to_string();
+    assert_eq!(missing, "attempt: found 99, expected 1 to 5");
+    // A folder is never written over.
+    let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
+    let error = clear_tray(&shared.cell(), &config, &mut watcher).await.unwrap_err();
+    assert!(matches!(error, CellError::Record(_)), "{error}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_record_that_cannot_be_written_does_not_stop_the_arm() {
+    let folder = Folder::new("full");
+    let shared = Shared::new(2);
+    let mut config = config();
+    config.recording.folder = Some(folder.0.clone());
+    let (cell, path) = (shared.cell(), folder.0.clone());
+    let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
+    let clearing = clear_tray(&cell, &config, &mut watcher);
+    let breaking = async {
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        std::fs::remove_dir_all(path.join("frames")).unwrap();
+    };
+    let (report, ()) = tokio::join!(clearing, breaking);
+    let report = report.unwrap();
+    assert_eq!((report.end, report.tally.successes), (End::Empty, 2));
+    assert!(report.record_trouble.unwrap().contains("frames"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_hand_that_is_not_the_planned_one_is_refused_before_anything_moves() {
+    let shared = Shared::new(1);
+    let mut cell = shared.cell();
+    cell.hand = std::sync::Arc::new(OtherHand(shared.clone()));
+    let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
+    let error = clear_tray(&cell, &config(), &mut watcher).await.unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "actuators of other: found [\"jaw\"], expected [\"finger\", \"thumb\"], those of hand leap"
+    );
+    assert!(!shared.world().calls.contains_key("move_to"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_wrong_configuration_is_refused() {
+    let shared = Shared::new(1);
+    let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
+    let mut wrong = CellConfig::default();
+    wrong.run.trials = 0;
+    let error = clear_tray(&shared.cell(), &wrong, &mut watcher).await.unwrap_err().to_string();
+    assert_eq!(error, "run.trials: found 0, expected 1 to 1000000");
+}
+
+#[tokio::test(start_paused = true)]
+async fn trials_time_and_a_request_end_the_run_between_attempts() {
+    let mut few = config();
+    few.run.trials = 3;
+    let shared = Shared::new(5);
+    let (report, _) = run(&shared, &few).await;
+    assert_eq!((report.end, shared.world().delivered), (End::Trials, 3));
+    let mut short = config();
+    short.run.time_limit_s = 30.0;
+    let shared = Shared::new(50);
+    let (report, _) = run(&shared, &short).await;
+    assert_eq!((report.end.clone(), report.holding), (End::TimeLimit, Holding::Nothing));
+    assert!(report.tally.trials > 0 && report.duration_s < 60.0, "{report:?}");
+    let shared = Shared::new(5);
+    let (cell, config) = (shared.cell(), config());
+    let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
+    let ask = async {
+        tokio::time::sleep(Duration::from_secs(8)).await;
+        shared.world().end_wanted = true;
+    };
+    let (report, ()) = tokio::join!(clear_tray(&cell, &config, &mut watcher), ask);
+    let report = report.unwrap();
+    assert_eq!((report.end.clone(), report.holding), (End::Asked, Holding::Nothing));
+    assert_eq!(report.tally.successes, shared.world().delivered);
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_grasp_is_asked_again_otherwise_and_then_given_up_with_reasons() {
+    let shared = Shared::new(1).with_fault(Step::Plan, Fault::NoGrasp, 3);
+    let (report, log) = run(&shared, &config()).await;
+    assert_eq!((report.end, report.tally.successes, report.tally.not_executed), (End::Empty, 1, 5));
+    assert_eq!(log, vec!["plan no grasp PlanAgain"; 3]);
+    let questions = shared.world().questions.clone();
+    let reaching: Vec<_> = questions.iter().take(4).map(|q| q.reaching).collect();
+    let (down, free) = (ReachingChoice::TopDown, ReachingChoice::Free);
+    assert_eq!(reaching, [down, free, down, free]);
+    let shared = Shared::new(1).with_fault(Step::Plan, Fault::NoGrasp, u32::MAX);
+    let (report, _) = run(&shared, &config()).await;
+    let End::NoGrasp { why } = &report.end else { panic!("{report:?}") };
+    assert_eq!(why, "all_rejected: scripted (collision_table 31, no_contact 9)");
+    assert_eq!(report.tally.not_executed, 8);
+}
+
+/// A hand with another actuator.
+#[derive(Debug)]
+struct OtherHand(Shared);
+
+#[graspd_adapters_core::async_trait]
+impl graspd_adapters_core::Hand for OtherHand {
+    fn info(&self) -> graspd_adapters_core::HandInfo {
+        let mut info = graspd_adapters_core::Hand::info(&self.0);
+        (info.name, info.actuators) = ("other".into(), vec!["jaw".into()]);
+        info
+    }
+
+    async fn state(
+        &self,
+        timeout: Duration,
+    ) -> Result<graspd_adapters_core::HandState, graspd_adapters_core::DeviceError> {
+        graspd_adapters_core::Hand::state(&self.0, timeout).await
+    }
+
+    async fn grip(
+        &self,
+        command: &graspd_adapters_core::GripCommand,
+        timeout: Duration,
+    ) -> Result<graspd_adapters_core::HandState, graspd_adapters_core::DeviceError> {
+        graspd_adapters_core::Hand::grip(&self.0, command, timeout).await
+    }
+
+    async fn clear_fault(&self, timeout: Duration) -> Result<(), graspd_adapters_core::DeviceError> {
+        graspd_adapters_core::Hand::clear_fault(&self.0, timeout).await
+    }
+}

@@ -1,0 +1,253 @@
+//! The devices of a cell: today the mock adapters, in one simulated world.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use anyhow::Context as _;
+use graspd_adapters_core::{Arm, DepthCamera, Hand};
+use graspd_adapters_mock::{
+    ArmSettings, Bin, CameraSettings, Faults, HandSettings, MockArm, MockCamera, MockHand, Mount,
+    SharedWorld, SharedWorldSettings,
+};
+use graspd_cell::config::CellConfig;
+use graspd_cell::pose::pointing_down;
+use graspd_cell::witness::{Witness, Witnessed};
+use graspd_hands::library;
+use graspd_sim::camera::look_at;
+use graspd_sim::clutter::{Arrangement, arrange, assortment};
+use graspd_sim::scene;
+use graspd_sim::sensor::Sensor;
+use graspd_sim::world::{Tray, World, WorldSettings};
+use nalgebra::{Point3, Vector3};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::hand_source;
+
+/// Simulated seconds for dropped things to fall and roll before they are counted.
+const REST_S: f64 = 0.8;
+/// Most objects that a tray is filled with.
+const MOST_OBJECTS: usize = 100;
+
+/// `[simulation]`
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Simulation {
+    /// Number of objects.
+    objects: usize,
+    /// How they are put into the tray.
+    arrangement: ArrangementName,
+    /// Seed of objects and arrangement.
+    seed: u64,
+    /// A scene file instead of drawn objects; it brings its own tray.
+    scene: Option<PathBuf>,
+    /// Noise of the depth camera.
+    sensor: SensorName,
+    /// How many times as fast as the wall clock the world runs; 0: as fast as it can, on demand.
+    speed: f64,
+    /// What goes wrong.
+    faults: DeviceFaults,
+}
+
+impl Default for Simulation {
+    fn default() -> Self {
+        Self {
+            objects: 5,
+            arrangement: ArrangementName::Pile,
+            seed: 1,
+            scene: None,
+            sensor: SensorName::AzureKinect,
+            speed: 0.0,
+            faults: DeviceFaults::default(),
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum ArrangementName {
+    Pile,
+    Packed,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum SensorName {
+    AzureKinect,
+    PicoFlexx,
+    Ideal,
+}
+
+/// `[simulation.faults]`
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct DeviceFaults {
+    camera: Faults,
+    arm: Faults,
+    hand: Faults,
+}
+
+/// The devices of a cell, and who knows what became of the objects.
+pub(super) struct Devices {
+    pub(super) camera: Arc<dyn DepthCamera>,
+    pub(super) arm: Arc<dyn Arm>,
+    pub(super) hand: Arc<dyn Hand>,
+    pub(super) witness: Arc<dyn Witness>,
+}
+
+/// Makes the devices that the configuration names.
+///
+/// # Errors
+/// For an adapter that is not there, settings that are not in order, an unknown hand.
+pub(super) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
+    for (field, adapter) in [
+        ("camera.adapter", &config.camera.adapter),
+        ("arm.adapter", &config.arm.adapter),
+        ("hand.adapter", &config.hand.adapter),
+    ] {
+        anyhow::ensure!(adapter == "mock", "{field}: found {adapter:?}, expected \"mock\"");
+    }
+    let simulation: Simulation = table("simulation", config.simulation.clone().unwrap_or_default())?;
+    let hand = library::hand(&config.hand.id).with_context(|| {
+        format!("hand.id: {:?}: {}", config.hand.id, hand_source::unknown(&config.hand.id, library::ids()))
+    })?;
+    let settings = tray(config)?;
+    let world = tokio::task::spawn_blocking({
+        let simulation = simulation.clone();
+        move || fill(&simulation, &settings)
+    })
+    .await??;
+    let [x, y, _] = config.drop.position_m;
+    let bin = Bin { center_m: [x, y], ..Bin::default() };
+    let shared = SharedWorldSettings { speed: simulation.speed, bins: vec![bin] };
+    let shared = SharedWorld::new(world, shared).context("simulation")?;
+    let drop = Vector3::from(config.drop.position_m);
+    let home = pointing_down(&hand.approach, &Vector3::x(), &hand.tool_point.coords, &drop, 0.0);
+    let mounted = shared.add_hand(Arc::new(hand.clone()), home, None).await?;
+    let mut sensor = match simulation.sensor {
+        SensorName::PicoFlexx => Sensor::pico_flexx(),
+        SensorName::AzureKinect | SensorName::Ideal => Sensor::azure_kinect(),
+    };
+    if simulation.sensor == SensorName::Ideal {
+        sensor = Sensor::ideal(sensor.lens);
+    }
+    let point = |p: [f64; 3]| Point3::from(p);
+    let (eye, target) = (point(config.camera.position_m), point(config.camera.looks_at_m));
+    let mount = Mount::Fixed { world_from_camera: look_at(&eye, &target, &Vector3::z()) };
+    let camera: CameraSettings = table("camera.settings", config.camera.settings.clone())?;
+    let arm: ArmSettings = table("arm.settings", config.arm.settings.clone())?;
+    let fingers: HandSettings = table("hand.settings", config.hand.settings.clone())?;
+    let faults = simulation.faults;
+    let witness = SimulatedTruth { shared: shared.clone(), last: Mutex::default() };
+    Ok(Devices {
+        camera: Arc::new(
+            MockCamera::new(&shared, camera, sensor, mount, faults.camera).context("camera.settings")?,
+        ),
+        arm: Arc::new(MockArm::new(&shared, mounted, arm, faults.arm).context("arm.settings")?),
+        hand: Arc::new(MockHand::new(&shared, mounted, fingers, faults.hand).await.context("hand.settings")?),
+        witness: Arc::new(witness),
+    })
+}
+
+/// A free table as the settings that it stands for; what is wrong names the table.
+fn table<T: DeserializeOwned>(name: &str, table: toml::Table) -> anyhow::Result<T> {
+    toml::Value::Table(table).try_into().map_err(|e: toml::de::Error| anyhow::anyhow!("{name}: {e}"))
+}
+
+/// The world with the configured tray.
+fn tray(config: &CellConfig) -> anyhow::Result<WorldSettings> {
+    let t = &config.tray;
+    anyhow::ensure!(
+        t.position_m == [0.0; 3] && t.yaw_rad == 0.0,
+        "tray.position_m, tray.yaw_rad: found {:?}, {}, expected zeros: the simulated tray is in the middle",
+        t.position_m,
+        t.yaw_rad
+    );
+    let tray = Tray { width_m: t.width_m, length_m: t.length_m, ..Tray::default() };
+    Ok(WorldSettings { tray: Some(tray), ..WorldSettings::default() })
+}
+
+fn fill(simulation: &Simulation, settings: &WorldSettings) -> anyhow::Result<World> {
+    if let Some(path) = &simulation.scene {
+        let name = path.display();
+        let text = std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
+        return scene::from_json(&text).with_context(|| format!("{name}"));
+    }
+    let count = simulation.objects;
+    anyhow::ensure!(
+        count <= MOST_OBJECTS,
+        "simulation.objects: found {count}, expected at most {MOST_OBJECTS}"
+    );
+    let how = match simulation.arrangement {
+        ArrangementName::Pile => Arrangement::Pile,
+        ArrangementName::Packed => Arrangement::Packed,
+    };
+    Ok(arrange(settings, &assortment(count, simulation.seed), how, simulation.seed))
+}
+
+/// Tells by physics what became of the objects.
+#[derive(Debug)]
+struct SimulatedTruth {
+    shared: SharedWorld,
+    /// Delivered and lost when asked last.
+    last: Mutex<(usize, usize)>,
+}
+
+#[graspd_adapters_core::async_trait]
+impl Witness for SimulatedTruth {
+    async fn outcome(&self, _attempt: u32) -> Witnessed {
+        // A world that has ended has nothing to tell; the devices report it.
+        let rested = self.shared.wait(REST_S).await;
+        let census = match rested {
+            Ok(()) => self.shared.census().await.unwrap_or_default(),
+            Err(_) => return Witnessed::default(),
+        };
+        let now = (census.delivered.len(), census.elsewhere.len());
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let since = |now: usize, before: usize| now.saturating_sub(before) as u32;
+        let witnessed = Witnessed {
+            delivered: since(now.0, last.0),
+            lost: since(now.1, last.1),
+            in_tray: census.tray.len() as u32,
+        };
+        *last = now;
+        witnessed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    async fn refused(text: &str) -> String {
+        let config = CellConfig::parse(text).unwrap();
+        match devices(&config).await {
+            Ok(_) => panic!("{text} is accepted"),
+            Err(error) => format!("{error:#}"),
+        }
+    }
+
+    #[tokio::test]
+    async fn what_is_wrong_is_named() {
+        for (text, expected) in [
+            ("[arm]\nadapter = \"ur\"", "arm.adapter: found \"ur\", expected \"mock\""),
+            ("[hand]\nid = \"laep\"", "leap"),
+            ("[simulation]\nobject = 3", "simulation: unknown field `object`"),
+            ("[simulation]\nobjects = 300", "simulation.objects: found 300, expected at most 100"),
+            ("[simulation]\nspeed = -1.0", "speed: found -1"),
+            ("[simulation.faults.camera]\ndrop = 1.0", "unknown field `drop`"),
+            ("[arm.settings]\nreach = 1.0", "arm.settings: unknown field `reach`"),
+            ("[tray]\nyaw_rad = 0.5", "tray.yaw_rad"),
+            ("[simulation]\nscene = \"none.json\"", "none.json: cannot be read"),
+        ] {
+            let text = format!("{text}\n[simulation]\nobjects = 0\n");
+            let text = if text.matches("[simulation]").count() > 1 {
+                text.replacen("\n[simulation]\nobjects = 0\n", "", 1)
+            } else {
+                text
+            };
+            let message = refused(&text).await;
+            assert!(message.contains(expected), "{message}\nshould contain\n{expected}");
+        }
+    }
+}

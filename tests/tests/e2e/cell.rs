@@ -1,0 +1,123 @@
+//! A whole cell: mock devices in a simulated world, a real server that goes away in the middle of a run.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use graspd_adapters_mock::{
+    After, ArmSettings, CameraSettings, Faults, HandSettings, MockArm, MockCamera, MockHand, MotionFault,
+    Mount, SharedWorld, SharedWorldSettings, Spell, StopKind,
+};
+use graspd_cell::config::CellConfig;
+use graspd_cell::observer::{Event, Observer};
+use graspd_cell::outcome::{End, Holding};
+use graspd_cell::plan::PlannerClient;
+use graspd_cell::record::{read_attempts, replay};
+use graspd_cell::steps::Trouble;
+use graspd_cell::{Cell, clear_tray};
+use graspd_hands::library;
+use graspd_sim::camera::look_at;
+use graspd_sim::clutter::{Arrangement, arrange, assortment};
+use graspd_sim::sensor::Sensor;
+use graspd_sim::world::{Tray, WorldSettings};
+use graspd_tests::TestServer;
+use nalgebra::{Isometry3, Point3, Vector3};
+use tokio::sync::Notify;
+
+const OBJECTS: usize = 3;
+
+/// Tells when the first attempt has ended, and keeps the troubles.
+struct Watcher {
+    first: Arc<Notify>,
+    troubles: Vec<Trouble>,
+}
+
+impl Observer for Watcher {
+    fn on(&mut self, event: &Event<'_>) {
+        match event {
+            Event::AttemptEnded { .. } => self.first.notify_one(),
+            Event::Trouble { trouble, .. } => self.troubles.push(*trouble),
+            _ => {}
+        }
+    }
+}
+
+/// A folder that goes with the test.
+struct Folder(PathBuf);
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+async fn cell(endpoint: &str) -> (Cell, SharedWorld) {
+    let settings = WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() };
+    let world = arrange(&settings, &assortment(OBJECTS, 1), Arrangement::Pile, 1);
+    let shared = SharedWorld::new(world, SharedWorldSettings::default()).unwrap();
+    let hand = library::hand("robotiq-2f85").unwrap();
+    let home = Isometry3::translation(0.40, 0.0, 0.6);
+    let mounted = shared.add_hand(Arc::new(hand.clone()), home, None).await.unwrap();
+    let eye = look_at(&Point3::new(0.0, -0.25, 0.75), &Point3::new(0.0, 0.0, 0.02), &Vector3::z());
+    let camera_faults = Faults { drop_share: 0.3, refused: Some(Spell::Calls(2)), ..Faults::default() };
+    let stop = MotionFault { after: After::Metres(0.15), kind: StopKind::Protective };
+    let arm_faults = Faults { motion: Some(stop), ..Faults::default() };
+    let hand_faults = Faults { silent: Some(Spell::Calls(2)), ..Faults::default() };
+    let mount = Mount::Fixed { world_from_camera: eye };
+    // Grasps that meet the tray are the planner's business; here the arm stops when the test says so.
+    let (lens, arm) = (Sensor::azure_kinect(), ArmSettings { stop_force_n: None, ..ArmSettings::default() });
+    let cell = Cell {
+        camera: Arc::new(
+            MockCamera::new(&shared, CameraSettings::default(), lens, mount, camera_faults).unwrap(),
+        ),
+        arm: Arc::new(MockArm::new(&shared, mounted, arm, arm_faults).unwrap()),
+        hand: Arc::new(MockHand::new(&shared, mounted, HandSettings::default(), hand_faults).await.unwrap()),
+        planner: Arc::new(PlannerClient::new(endpoint)),
+        witness: None,
+    };
+    (cell, shared)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_survives_faults_and_a_planner_that_is_restarted() {
+    let server = TestServer::start().await;
+    let (cell, shared) = cell(&server.endpoint()).await;
+    let folder = Folder(std::env::temp_dir().join(format!("graspd-e2e-cell-{}", std::process::id())));
+    let mut config = CellConfig::default();
+    config.hand.id = "robotiq-2f85".to_owned();
+    config.run.time_limit_s = 240.0;
+    config.recording.folder = Some(folder.0.clone());
+    let first = Arc::new(Notify::new());
+    let mut watcher = Watcher { first: Arc::clone(&first), troubles: Vec::new() };
+    let restart = async {
+        first.notified().await;
+        let addr = server.addr;
+        server.stop().await.unwrap().unwrap();
+        tokio::time::sleep(Duration::from_secs(2)).await;
+        let again = graspd_server::ServerConfig { listen: addr, ..TestServer::config() };
+        TestServer::start_with(again).await
+    };
+    let (report, server) = tokio::join!(clear_tray(&cell, &config, &mut watcher), restart);
+    let report = report.unwrap();
+    let census = shared.census().await.unwrap();
+    assert_eq!(census.total(), OBJECTS, "an object is lost from the count: {census:?}");
+    // How many grasps hold is physics; that the run ends in order, and counts what arrived, is the cell's.
+    // An arm whose hand is wedged among objects may end it, and says so.
+    let in_order =
+        matches!(report.end, End::Empty | End::Failures { .. } | End::NoGrasp { .. } | End::ArmLost { .. });
+    assert!(in_order, "{report:?}");
+    assert_eq!(report.holding, Holding::Nothing, "{report:?}");
+    assert!(!census.delivered.is_empty(), "{report:?}");
+    assert_eq!(report.tally.successes as usize, census.delivered.len(), "{report:?}");
+    for trouble in [Trouble::PlannerAway, Trouble::NoAnswer, Trouble::Stop] {
+        assert!(watcher.troubles.contains(&trouble), "{trouble:?} was not met: {:?}", watcher.troubles);
+    }
+    // Every attempt can be planned again from its record, by a server that never saw the run.
+    let planner = PlannerClient::new(&server.endpoint());
+    let attempts = read_attempts(&folder.0).unwrap();
+    assert_eq!(attempts.len() as u32, report.tally.attempts);
+    for attempt in attempts.iter().filter(|a| a.answer.is_some()) {
+        let again = replay(&planner, &folder.0, attempt.attempt, Duration::from_secs(60)).await.unwrap();
+        assert!(again.same, "attempt {}: {:?}", attempt.attempt, again.apart);
+    }
+}
