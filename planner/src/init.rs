@@ -9,6 +9,9 @@ use crate::options::PlanOptions;
 use crate::orientation::{INITIAL_CONE_RAD, align, cone_sample, reaching_direction};
 use crate::refine::CenteredCentroid;
 
+/// Hands that start shaped for a small object start closed by up to this share.
+const MOST_CLOSED: f64 = 0.8;
+
 /// Where initial configurations come from: one hand, one scene, one request.
 #[derive(Debug, Clone)]
 pub(crate) struct Initializer<'a> {
@@ -33,6 +36,9 @@ impl Initializer<'_> {
         let rotation = UnitQuaternion::from_axis_angle(&Unit::new_normalize(axis), roll)
             * UnitQuaternion::from_rotation_matrix(&align(&self.model.approach, &axis));
         let gamma = self.options.opening_fraction;
+        // Half of the hands start shaped for something smaller than their widest opening: fingers that turn about
+        // knuckles meet deeper than they open, and from wide open the way to a small object leads through the table.
+        let shaped = if rng.random::<bool>() { rng.random::<f64>() * MOST_CLOSED } else { 0.0 };
         let coordinates = self
             .model
             .hand
@@ -47,7 +53,9 @@ impl Initializer<'_> {
                 } else {
                     c.lower
                 };
-                (c.open + gamma * rng.random::<f64>() * (towards - c.open)).clamp(c.lower, c.upper)
+                let shaped = if c.closed != c.open { shaped } else { 0.0 };
+                let share = shaped + (1.0 - shaped) * gamma * rng.random::<f64>();
+                (c.open + share * (towards - c.open)).clamp(c.lower, c.upper)
             })
             .collect();
         let mut configuration = Configuration { translation: Vector3::zeros(), rotation, coordinates };

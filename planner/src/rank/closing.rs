@@ -4,7 +4,7 @@
 //! This does the same against the signed distance field, so that the returned joint targets are what the
 //! hand will have at contact, not what an objective found agreeable.
 
-use graspd_hands::CoordinateKind;
+use graspd_hands::{Actuation, CoordinateKind, SoftCoupling};
 use nalgebra::Vector3;
 
 use crate::configuration::Configuration;
@@ -28,6 +28,12 @@ const DEEPEST_VOXELS: f64 = 0.8;
 const TRAVEL_M: f64 = 0.25;
 /// A hand with one motor is shifted at most this far so that its fingers touch together, metres.
 const SHIFT_M: f64 = 0.02;
+/// Fingers close no nearer to the table than this, metres: a depth camera knows the table's height no better.
+const TABLE_ROOM_M: f64 = 0.003;
+/// The hand is drawn back by this much at a time where the table stops its fingers, metres.
+const DRAW_STEP_M: f64 = 0.005;
+/// The hand is drawn back at most this far, metres.
+const DRAW_M: f64 = 0.05;
 /// How far beyond contact the squeeze command goes, metres of fingertip motion.
 const SQUEEZE_M: f64 = 0.010;
 
@@ -43,6 +49,8 @@ struct Closer {
     spheres: Vec<usize>,
     /// Pairs for self-collision of which at least one sphere moves with it.
     pairs: Vec<(usize, usize)>,
+    /// Adaptive coordinates that its mechanism moves along until something stops them, and how far.
+    followers: Vec<(usize, f64)>,
 }
 
 fn closers(model: &HandModel<'_>) -> Vec<Closer> {
@@ -52,8 +60,9 @@ fn closers(model: &HandModel<'_>) -> Vec<Closer> {
         .coordinates
         .iter()
         .enumerate()
-        .filter(|(_, c)| c.closed != c.open)
+        .filter(|(_, c)| c.closed != c.open && c.kind == CoordinateKind::Actuator)
         .map(|(coordinate, c)| {
+            let followers = followers(actuation, coordinate);
             let bodies: Vec<usize> = (0..hand.tree.bodies.len())
                 .filter(|&b| {
                     hand.tree.bodies[b]
@@ -72,9 +81,35 @@ fn closers(model: &HandModel<'_>) -> Vec<Closer> {
             let spheres = (0..hand.spheres.len()).filter(|&i| moves(hand.spheres[i].body)).collect();
             let moved = |i: usize| moves(hand.spheres[i].body);
             let pairs = hand.self_pairs.iter().copied().filter(|&(a, b)| moved(a) || moved(b)).collect();
-            Closer { coordinate, sign: (c.closed - c.open).signum(), fingers, spheres, pairs }
+            let sign = (c.closed - c.open).signum();
+            Closer { coordinate, sign, fingers, spheres, pairs, followers }
         })
         .filter(|c| !c.fingers.is_empty())
+        .collect()
+}
+
+/// Adaptive coordinates that a soft coupling ties to an actuator, with their motion per motion of the actuator.
+fn followers(actuation: &Actuation, actuator: usize) -> Vec<(usize, f64)> {
+    let slope = |coupling: &SoftCoupling, coordinate: usize| -> f64 {
+        coupling
+            .terms
+            .iter()
+            .flat_map(|&(joint, c)| actuation.rows[joint].terms.iter().map(move |&(i, a)| (i, c * a)))
+            .filter(|&(i, _)| i == coordinate)
+            .map(|(_, slope)| slope)
+            .sum()
+    };
+    let adaptive = |c: &&usize| actuation.coordinates[**c].kind == CoordinateKind::Adaptive;
+    let all: Vec<usize> = (0..actuation.coordinates.len()).collect();
+    actuation
+        .couplings
+        .iter()
+        .filter_map(|coupling| {
+            let driven = slope(coupling, actuator);
+            // The last adaptive coordinate of a coupling is the one that it decides.
+            let own = *all.iter().filter(adaptive).rfind(|&&i| slope(coupling, i) != 0.0)?;
+            (driven != 0.0).then(|| (own, -driven / slope(coupling, own)))
+        })
         .collect()
 }
 
@@ -86,6 +121,8 @@ struct Feel {
     over: f64,
     /// Mean outward normal of the pads that touch, volume frame.
     touching: Vector3<f64>,
+    /// True when it is the table that the moved parts are deepest in.
+    on_table: bool,
 }
 
 impl Feel {
@@ -108,24 +145,69 @@ impl Feel {
     }
 }
 
+/// Closes the hand as a robot does: every actuator moves from where the optimizer left it until its fingers touch.
+///
+/// Fingers that turn about their knuckles swing lower than they were before they meet. Where the table stops a
+/// finger before it has touched anything, the hand is drawn back along its approach, a little at a time, and closed
+/// again, as long as that brings more fingers into touch.
+pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration, scratch: &mut Scratch) {
+    let closers = closers(objective.model);
+    let start = configuration.clone();
+    let back = -(start.rotation * objective.model.approach);
+    let mut best: Option<(usize, Configuration)> = None;
+    let mut drawn = 0.0;
+    loop {
+        configuration.copy_from(&start);
+        configuration.translation += back * drawn;
+        let closed = close_once(objective, &closers, configuration, scratch);
+        if best.as_ref().is_none_or(|(touching, _)| closed.touching > *touching) {
+            best = Some((closed.touching, configuration.clone()));
+        }
+        drawn += DRAW_STEP_M;
+        if !closed.stopped_by_table || drawn > DRAW_M {
+            break;
+        }
+    }
+    if let Some((_, best)) = best {
+        configuration.copy_from(&best);
+    }
+}
+
+/// What one closing came to.
+struct Closed {
+    /// Fingers whose pads touch.
+    touching: usize,
+    /// True when the table stopped a finger that does not touch.
+    stopped_by_table: bool,
+}
+
 /// Moves every closing coordinate until its fingers touch; a finger that finds nothing within reach
 /// stays where the optimizer left it.
 ///
 /// Where one motor closes the whole hand and one finger touches before another, the hand is shifted
 /// sideways so that all touch together: the planner chooses the pose that the closing would push for.
-pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration, scratch: &mut Scratch) {
+fn close_once(
+    objective: &Objective<'_>,
+    all: &[Closer],
+    configuration: &mut Configuration,
+    scratch: &mut Scratch,
+) -> Closed {
     let model = objective.model;
-    let all = closers(model);
     let may_shift = all.len() == 1 && all[0].fingers.len() > 1;
-    for closer in &all {
+    let mut closed = Closed { touching: 0, stopped_by_table: false };
+    for closer in all {
         let c = closer.coordinate;
-        let limits = &model.hand.actuation.coordinates[c];
+        let coordinates = &model.hand.actuation.coordinates;
         let per_metre = model.step_scale[c] * closer.sign;
         let move_by = |configuration: &mut Configuration, metres: f64| {
-            let next = (configuration.coordinates[c] + metres * per_metre).clamp(limits.lower, limits.upper);
-            let moved = next != configuration.coordinates[c];
+            let before = configuration.coordinates[c];
+            let next = (before + metres * per_metre).clamp(coordinates[c].lower, coordinates[c].upper);
             configuration.coordinates[c] = next;
-            moved
+            for &(i, ratio) in &closer.followers {
+                let along = configuration.coordinates[i] + ratio * (next - before);
+                configuration.coordinates[i] = along.clamp(coordinates[i].lower, coordinates[i].upper);
+            }
+            next != before
         };
         let start = configuration.clone();
         let mut feel = feel(objective, configuration, closer, scratch);
@@ -134,6 +216,7 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
             opened += STEP_M;
             feel = self::feel(objective, configuration, closer, scratch);
         }
+        closed.stopped_by_table |= feel.is_too_deep() && feel.on_table;
         let (mut shifted, mut travelled) = (0.0, 0.0);
         while !feel.all_touch() && !feel.is_too_deep() && travelled < TRAVEL_M {
             let before = configuration.clone();
@@ -151,6 +234,7 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
             }
             feel = self::feel(objective, configuration, closer, scratch);
             if feel.is_too_deep() {
+                closed.stopped_by_table |= feel.on_table;
                 configuration.copy_from(&before);
                 feel = self::feel(objective, configuration, closer, scratch);
                 break;
@@ -159,7 +243,9 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
         if feel.none_touches() {
             configuration.copy_from(&start);
         }
+        closed.touching += feel.gaps.iter().filter(|&&g| g <= TOUCH_M).count();
     }
+    closed
 }
 
 fn feel(
@@ -173,6 +259,7 @@ fn feel(
     let deepest = DEEPEST_VOXELS * objective.obstacles.grid.voxel_m();
     let mut touching = Vector3::zeros();
     let mut over = f64::NEG_INFINITY;
+    let mut in_table = f64::NEG_INFINITY;
     let gaps: Vec<f64> = closer
         .fingers
         .iter()
@@ -200,16 +287,22 @@ fn feel(
     };
     for &i in &closer.spheres {
         let (center, radius) = center(i);
-        over = over.max(radius - objective.obstacles.scene(&center).0 - deepest);
+        let in_scene = radius - objective.obstacles.scene(&center).0 - deepest;
+        over = over.max(in_scene);
         if let Some(table) = objective.obstacles.table_m {
-            over = over.max(radius - (center.z - table));
+            let into = radius - (center.z - table) + TABLE_ROOM_M;
+            over = over.max(into);
+            // What is solid just above the table top may be the table as it was seen.
+            if into > -objective.obstacles.grid.voxel_m() {
+                in_table = in_table.max(into.max(in_scene));
+            }
         }
     }
     for &(a, b) in &closer.pairs {
         let ((a, radius_a), (b, radius_b)) = (center(a), center(b));
         over = over.max(radius_a + radius_b - (a - b).norm() - OVERLAP_M);
     }
-    Feel { gaps, over, touching }
+    Feel { gaps, over, touching, on_table: in_table >= over }
 }
 
 /// Coordinates opened by `share` of the way from contact to the open posture; coordinates that do not

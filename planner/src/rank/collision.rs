@@ -7,12 +7,16 @@ use crate::objective::{Objective, Obstacles, Scratch};
 
 /// Spheres may be this deep in the scene, voxels: the resolution of what was seen.
 pub(crate) const SCENE_TOLERANCE_VOXELS: f64 = 1.0;
-/// Spheres may be this deep in the table, metres.
-pub(crate) const TABLE_TOLERANCE_M: f64 = 0.002;
+/// Spheres may be this deep in the table, metres; negative: they keep this far from it. A depth camera knows the
+/// table's height to some millimetres (Supplementary Fig. 8b).
+pub(crate) const TABLE_TOLERANCE_M: f64 = -0.001;
 /// Spheres of different fingers may overlap by this much, metres.
 pub(crate) const SELF_TOLERANCE_M: f64 = 0.003;
 /// Distance between two checked poses of the approach, metres.
 const APPROACH_STEP_M: f64 = 0.008;
+
+/// Postures that are checked between open and contact.
+const CLOSING_STEPS: usize = 8;
 
 /// How deep a configuration is in what; metres, negative is room.
 #[derive(Debug, Clone, Copy)]
@@ -80,7 +84,7 @@ pub(crate) fn depths(
     all
 }
 
-/// What the straight approach meets, metres.
+/// What the straight approach and the closing after it meet, metres.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Approach {
     /// Largest depth beyond the tolerances in anything; negative is room.
@@ -89,7 +93,8 @@ pub(crate) struct Approach {
     pub(crate) room: f64,
 }
 
-/// Checks the straight approach: from `back` metres before the grasp to the grasp, hand open.
+/// Checks the straight approach, from `back` metres before the grasp to the grasp, hand open, and the closing there,
+/// from open to contact.
 pub(crate) fn approach(
     objective: &Objective<'_>,
     grasp: &Configuration,
@@ -104,10 +109,8 @@ pub(crate) fn approach(
     let steps = (back / APPROACH_STEP_M).ceil().max(1.0) as usize;
     let tolerance = SCENE_TOLERANCE_VOXELS * objective.obstacles.grid.voxel_m();
     let mut met = Approach { depth: f64::NEG_INFINITY, room: f64::INFINITY };
-    for k in 0..=steps {
-        let along = back * k as f64 / steps as f64;
-        moving.translation = grasp.translation - axis * along;
-        scratch.kinematics.forward(objective.model, &moving);
+    let mut look = |moving: &Configuration| {
+        scratch.kinematics.forward(objective.model, moving);
         objective.place_spheres(scratch);
         for (s, center) in objective.model.spheres.iter().zip(&scratch.centers) {
             let scene = s.radius - objective.obstacles.scene(center).0;
@@ -127,6 +130,19 @@ pub(crate) fn approach(
                 met.room = met.room.min(-into);
             }
         }
+    };
+    for k in 0..=steps {
+        moving.translation = grasp.translation - axis * (back * k as f64 / steps as f64);
+        look(&moving);
+    }
+    // Fingers that close swing through what lies between open and contact.
+    moving.translation = grasp.translation;
+    for k in 1..CLOSING_STEPS {
+        let share = k as f64 / CLOSING_STEPS as f64;
+        for ((slot, open), contact) in moving.coordinates.iter_mut().zip(open).zip(&grasp.coordinates) {
+            *slot = open + share * (contact - open);
+        }
+        look(&moving);
     }
     met
 }

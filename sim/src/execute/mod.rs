@@ -70,7 +70,9 @@ pub struct ExecuteSettings {
     pub stop_force_n: f64,
     /// How far the meant object may be pushed during the approach before that is a collision, metres.
     pub push_m: f64,
-    /// Longest time for closing, seconds.
+    /// Time in which all fingers go from open to where contact is expected, to arrive there together, seconds.
+    pub meet_s: f64,
+    /// Longest time for closing after that, seconds.
     pub close_s: f64,
 }
 
@@ -87,6 +89,7 @@ impl Default for ExecuteSettings {
             shake_cycles: 2.0,
             stop_force_n: 40.0,
             push_m: 0.01,
+            meet_s: 0.5,
             close_s: 3.0,
         }
     }

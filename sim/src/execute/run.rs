@@ -26,6 +26,8 @@ const FORCE_S: f64 = 0.01;
 const REACHED_S: f64 = 0.8;
 /// Stillness after the shake, seconds.
 const CALM_S: f64 = 0.3;
+/// Interval of the commands that take the fingers to contact, seconds.
+const MEET_COMMAND_S: f64 = 0.02;
 /// Time between looks at which fingers touch, seconds.
 const LOOK_S: f64 = 0.02;
 
@@ -179,7 +181,25 @@ impl Run<'_> {
     }
 
     /// All fingers at once, until nothing moves any more.
+    /// Takes all fingers from open to where contact is expected so that they arrive together: a finger that came first
+    /// would push the object before the others hold against it.
+    fn meet(&mut self, grasp: &GraspCommand) {
+        let force = self.settings.grip_force;
+        let steps = self.steps(self.settings.meet_s);
+        let every = self.steps(MEET_COMMAND_S).max(1);
+        for step in 0..steps {
+            if step % every == 0 {
+                let share = (step + every).min(steps) as f64 / steps as f64;
+                let between = |(open, contact): (&f64, &f64)| open + share * (contact - open);
+                let actuators = grasp.open.iter().zip(&grasp.contact).map(between).collect();
+                self.world.command(self.hand, Command::Close { actuators, force, speed: 1.0 });
+            }
+            self.world.step();
+        }
+    }
+
     fn close(&mut self, grasp: &GraspCommand) {
+        self.meet(grasp);
         let mut closing = Closing::new(&self.model, grasp);
         let force = self.settings.grip_force;
         let full = self.world.full_efforts(self.hand).unwrap_or_default();
