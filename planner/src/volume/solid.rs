@@ -14,11 +14,17 @@ use crate::options::VolumeKind;
 /// Groups of connected object voxels smaller than this are sensor noise.
 pub const MIN_OBJECT_VOXELS: usize = 20;
 
+/// An unseen voxel with solid ones at most this far away on all four sides lies in a hole of the depth image that
+/// an object encloses (a mirroring or dark patch), voxels. What has no return at all has no such sides: it stays
+/// unknown.
+pub const PIT_VOXELS: usize = 5;
+
 impl Volume {
     /// Solid voxels, memory order. Of an occupancy volume everything that was not seen to be free, as the paper's
     /// "Voxel" has it. Of a TSDF: observed surfaces, unseen voxels below an observed object surface in the same
     /// column down to the table (or to the first voxel seen to be free), unseen gaps of one or two voxels
-    /// between such voxels along x or y, and everything below the table top.
+    /// between such voxels along x or y and wider ones between four of them (see [`PIT_VOXELS`]), and everything
+    /// below the table top.
     pub fn solid(&self) -> Vec<bool> {
         let n = self.grid.resolution;
         let floor = self.table_layer();
@@ -30,6 +36,17 @@ impl Volume {
             for (i, (solid, state)) in solid.iter_mut().zip(&self.state).enumerate() {
                 *solid = i % n < floor || *state != VoxelState::Free;
             }
+            return solid;
+        }
+        self.completed()
+    }
+
+    /// What was seen, completed downwards: [`Volume::solid`] of a TSDF, whatever the kind.
+    fn completed(&self) -> Vec<bool> {
+        let n = self.grid.resolution;
+        let floor = self.table_layer();
+        let mut solid = vec![false; self.grid.len()];
+        if n == 0 {
             return solid;
         }
         solid.par_chunks_mut(n).zip(self.state.par_chunks(n)).for_each(|(solid, state)| {
@@ -63,19 +80,44 @@ impl Volume {
             (Some(x), Some(y)) if x < n && y < n => &solid[(x * n + y) * n..][..n],
             _ => &blank[..],
         };
-        filled.par_chunks_mut(n).zip(self.state.par_chunks(n)).enumerate().for_each(|(row, (out, state))| {
-            let (x, y) = (row / n, row % n);
-            // Distances to both sides of gaps of one and of two voxels.
-            for (a, b) in [(1, 1), (1, 2), (2, 1)] {
-                let along_x = (line(x.checked_sub(a), Some(y)), line(Some(x + b), Some(y)));
-                let along_y = (line(Some(x), y.checked_sub(a)), line(Some(x), Some(y + b)));
-                for (low, high) in [along_x, along_y] {
-                    for z in 0..n {
-                        out[z] |= state[z] == VoxelState::Unseen && low[z] && high[z];
+        let columns = filled.par_chunks_mut(n).zip(self.state.par_chunks(n)).enumerate();
+        columns.for_each_init(
+            || vec![0u8; n],
+            |sides, (row, (out, state))| {
+                let (x, y) = (row / n, row % n);
+                // Distances to both sides of gaps of one and of two voxels.
+                for (a, b) in [(1, 1), (1, 2), (2, 1)] {
+                    let along_x = (line(x.checked_sub(a), Some(y)), line(Some(x + b), Some(y)));
+                    let along_y = (line(Some(x), y.checked_sub(a)), line(Some(x), Some(y + b)));
+                    for (low, high) in [along_x, along_y] {
+                        for z in 0..n {
+                            out[z] |= state[z] == VoxelState::Unseen && low[z] && high[z];
+                        }
                     }
                 }
-            }
-        });
+                if !state.iter().zip(&out[..]).any(|(&s, &o)| s == VoxelState::Unseen && !o) {
+                    return;
+                }
+                // Bit by bit the sides on which there is something near.
+                sides.fill(0);
+                for k in 1..=PIT_VOXELS {
+                    let around = [
+                        line(x.checked_sub(k), Some(y)),
+                        line(Some(x + k), Some(y)),
+                        line(Some(x), y.checked_sub(k)),
+                        line(Some(x), Some(y + k)),
+                    ];
+                    for (bit, near) in around.into_iter().enumerate() {
+                        for (sides, &near) in sides.iter_mut().zip(near) {
+                            *sides |= u8::from(near) << bit;
+                        }
+                    }
+                }
+                for ((out, &sides), &state) in out.iter_mut().zip(&*sides).zip(state) {
+                    *out |= sides == 0b1111 && state == VoxelState::Unseen;
+                }
+            },
+        );
         filled
     }
 
@@ -87,10 +129,13 @@ impl Volume {
     /// What `solid` has of objects: inside the region, at least one voxel above the table top, in connected groups
     /// (over faces) of at least [`MIN_OBJECT_VOXELS`]. Without a table: all such groups. The number of its group for each voxel,
     /// counted from 1; 0 for voxels of no object. Objects that touch share a group.
+    ///
+    /// The shadows of an occupancy volume are solid but no objects: there the groups are those of what was seen,
+    /// completed downwards as in a TSDF.
     pub fn object_groups(&self, solid: &[bool]) -> Vec<u16> {
         let n = self.grid.resolution;
         let first = self.first_object_layer();
-        let mut open = solid.to_vec();
+        let mut open = if self.kind == VolumeKind::Occupancy { self.completed() } else { solid.to_vec() };
         for column in open.chunks_mut(n.max(1)) {
             column[..first].fill(false);
         }
