@@ -271,3 +271,67 @@ fn blend(grid: &Grid, slot: &[u32], contacts: &[Contact], i: usize, distance: f3
     let norm = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
     if norm > 1e-6 { (distance * quality / count, sum.map(|s| s / norm)) } else { (0.0, [0.0; 3]) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::Unlimited;
+
+    /// A table at 0.1 m, and on it what `object` says of voxel (x, y) counted from the cube's middle, up to so
+    /// many layers.
+    fn estimate(object: impl Fn(f32, f32) -> usize) -> (Grid, ContactField) {
+        let grid = Grid::default();
+        let n = grid.resolution;
+        let middle = 0.5 * (n as f32 - 1.0);
+        let solid: Vec<bool> = (0..grid.len())
+            .map(|i| {
+                let [x, y, z] = grid.voxel(i);
+                z < 20 || z < 20 + object(x as f32 - middle, y as f32 - middle)
+            })
+            .collect();
+        let volume = Volume::from_solid(grid, Some(0.1), &solid);
+        (grid, Geometric.estimate(&volume, &Unlimited).unwrap())
+    }
+
+    /// Largest value of `field` within `reach` voxels of (x, y), counted from the cube's middle.
+    fn best(grid: &Grid, field: &[f32], (x, y): (f32, f32), reach: f32) -> f32 {
+        let middle = 0.5 * (grid.resolution as f32 - 1.0);
+        let near = |i: &usize| {
+            let v = grid.voxel(*i).map(|c| c as f32 - middle);
+            (v[0] - x).hypot(v[1] - y) <= reach
+        };
+        (0..grid.len()).filter(near).map(|i| field[i]).fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn a_nut_is_held_from_outside_although_it_has_a_hole() {
+        // 34 mm across, a hole of 18 mm, 20 mm high.
+        let (grid, field) = estimate(|x, y| if (1.8..3.5).contains(&x.hypot(y)) { 4 } else { 0 });
+        assert_eq!(best(&grid, &field.centroid, (0.0, 0.0), 1.2), 1.0, "the middle of the hole");
+        let outside = (0..grid.len())
+            .filter(|&i| {
+                let v = grid.voxel(i).map(|c| c as f32 - 39.5);
+                v[0].hypot(v[1]) > 3.5 && field.certainty[i] > 0.7
+            })
+            .count();
+        assert!(outside >= 20, "{outside} focal contacts outside");
+    }
+
+    #[test]
+    fn a_small_object_keeps_contacts_and_centroid_beside_a_large_one() {
+        let (grid, field) = estimate(|x, y| {
+            if (x + 15.0).abs() < 5.0 && y.abs() < 10.0 {
+                16
+            } else if (x - 15.0).hypot(y) < 2.1 {
+                3
+            } else {
+                0
+            }
+        });
+        for at in [(-15.0, 0.0), (15.0, 0.0)] {
+            assert_eq!(best(&grid, &field.centroid, at, 3.0), 1.0, "{at:?}");
+            assert!(best(&grid, &field.certainty, at, 8.0) > 0.7, "{at:?}");
+        }
+        assert_eq!(best(&grid, &field.centroid, (0.0, 30.0), 8.0), 0.0);
+    }
+}

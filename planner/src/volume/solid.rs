@@ -4,7 +4,8 @@
 //! and stays its input. As collision geometry it would forbid every finger behind an object, because the
 //! shadow of an object seen from one side reaches to the volume's wall. Objects rest on the table, so here the
 //! unseen below an observed surface, in the same column, belongs to the object; the rest of the shadow is
-//! unknown, not solid. A caller who wants the cautious reading asks for an occupancy volume.
+//! unknown, not solid. A caller who wants the cautious reading asks for an occupancy volume. There the shadows are
+//! solid, but still no objects: nothing says that there is something to hold on to.
 
 use rayon::prelude::*;
 
@@ -21,24 +22,37 @@ pub const PIT_VOXELS: usize = 5;
 
 impl Volume {
     /// Solid voxels, memory order. Of an occupancy volume everything that was not seen to be free, as the paper's
-    /// "Voxel" has it. Of a TSDF: observed surfaces, unseen voxels below an observed object surface in the same
-    /// column down to the table (or to the first voxel seen to be free), unseen gaps of one or two voxels
-    /// between such voxels along x or y and wider ones between four of them (see [`PIT_VOXELS`]), and everything
-    /// below the table top.
+    /// "Voxel" has it, but for the thin streaks that single pixels without a return leave. Of a TSDF: observed
+    /// surfaces, unseen voxels below an observed object surface in the same column down to the table (or to the
+    /// first voxel seen to be free), unseen gaps of one or two voxels between such voxels along x or y and wider
+    /// ones between four of them (see [`PIT_VOXELS`]), and everything below the table top.
     pub fn solid(&self) -> Vec<bool> {
-        let n = self.grid.resolution;
-        let floor = self.table_layer();
-        let mut solid = vec![false; self.grid.len()];
-        if n == 0 {
-            return solid;
-        }
+        let mut solid = self.completed();
         if self.kind == VolumeKind::Occupancy {
             for (i, (solid, state)) in solid.iter_mut().zip(&self.state).enumerate() {
-                *solid = i % n < floor || *state != VoxelState::Free;
+                *solid |= *state != VoxelState::Free && !self.is_streak(i);
             }
-            return solid;
         }
-        self.completed()
+        solid
+    }
+
+    /// True for an unseen voxel of a sheet or streak no thicker than two voxels with seen free space on both sides.
+    ///
+    /// A pixel without a return leaves its whole ray unseen, from the camera on, and the edges of objects are
+    /// full of such pixels: without this, every object of an occupancy volume would stand between walls of one voxel.
+    fn is_streak(&self, i: usize) -> bool {
+        if self.state[i] != VoxelState::Unseen {
+            return false;
+        }
+        let n = self.grid.resolution;
+        let voxel = self.grid.voxel(i);
+        (0..3).any(|axis| {
+            let stride = [n * n, n, 1][axis];
+            let at = voxel[axis];
+            let below = |k: usize| at >= k && self.state[i - k * stride] == VoxelState::Free;
+            let above = |k: usize| at + k < n && self.state[i + k * stride] == VoxelState::Free;
+            (below(1) && (above(1) || above(2))) || (below(2) && above(1))
+        })
     }
 
     /// What was seen, completed downwards: [`Volume::solid`] of a TSDF, whatever the kind.
@@ -121,6 +135,30 @@ impl Volume {
         filled
     }
 
+    /// Adds unseen voxels that lie, in a layer of one or two, between an object and seen free space beside it: in an
+    /// occupancy volume they are solid, and the object reaches as far as them.
+    fn with_skin(&self, object: Vec<bool>) -> Vec<bool> {
+        let n = self.grid.resolution;
+        let first = self.first_object_layer();
+        let mut out = object.clone();
+        for i in (0..object.len()).filter(|&i| i % n >= first && self.state[i] == VoxelState::Unseen) {
+            let voxel = self.grid.voxel(i);
+            out[i] |= (0..2).any(|axis| {
+                let stride = [n * n, n][axis];
+                let at = voxel[axis];
+                let low = |k: usize| (at >= k).then(|| i - k * stride);
+                let high = |k: usize| (at + k < n).then(|| i + k * stride);
+                let is = |j: Option<usize>| j.is_some_and(|j| object[j]);
+                let free = |j: Option<usize>| j.is_some_and(|j| self.state[j] == VoxelState::Free);
+                (is(low(1)) && (free(high(1)) || free(high(2))))
+                    || (is(high(1)) && (free(low(1)) || free(low(2))))
+                    || (is(low(2)) && free(high(1)))
+                    || (is(high(2)) && free(low(1)))
+            });
+        }
+        out
+    }
+
     /// The part of `solid` that belongs to objects, see [`Volume::object_groups`].
     pub fn objects(&self, solid: &[bool]) -> Vec<bool> {
         self.object_groups(solid).iter().map(|&g| g > 0).collect()
@@ -131,11 +169,15 @@ impl Volume {
     /// counted from 1; 0 for voxels of no object. Objects that touch share a group.
     ///
     /// The shadows of an occupancy volume are solid but no objects: there the groups are those of what was seen,
-    /// completed downwards as in a TSDF.
+    /// completed downwards as in a TSDF, with the unseen layer of one or two voxels that its noisy edges leave.
     pub fn object_groups(&self, solid: &[bool]) -> Vec<u16> {
         let n = self.grid.resolution;
         let first = self.first_object_layer();
-        let mut open = if self.kind == VolumeKind::Occupancy { self.completed() } else { solid.to_vec() };
+        let mut open = if self.kind == VolumeKind::Occupancy {
+            self.with_skin(self.completed())
+        } else {
+            solid.to_vec()
+        };
         for column in open.chunks_mut(n.max(1)) {
             column[..first].fill(false);
         }
