@@ -99,14 +99,10 @@ pub(super) fn normalized(grid: &Grid, votes: &[f32], objects: &[Extent]) -> Vec<
     }
     let peaks: Vec<[usize; 3]> = peaks.iter().map(|(p, _)| p.map(|c| c as usize)).collect();
     for object in objects.iter().filter(|o| o.stands_out()) {
-        let own: Vec<[usize; 3]> = peaks.iter().copied().filter(|&p| object.reaches(p)).collect();
-        // The peak of a small object may be too sharp for a cluster of the size that the refinement asks for.
-        for &peak in &own {
-            small_plateau(grid, &mut score, peak);
-        }
-        if own.is_empty() {
-            small_plateau(grid, &mut score, middle(grid, votes, object));
-        }
+        // The strongest peak of a small object may be too sharp for a cluster of the size that the refinement asks
+        // for. Its further peaks have to be broad enough by themselves.
+        let own = peaks.iter().copied().find(|&p| object.reaches(p));
+        small_plateau(grid, &mut score, own.unwrap_or_else(|| middle(grid, votes, object)));
     }
     score
 }
