@@ -53,10 +53,10 @@ pub(super) fn extents(grid: &Grid, groups: &[u16]) -> Vec<Extent> {
         }
         let extent = &mut found[usize::from(group) - 1];
         extent.count += 1;
-        for a in 0..3 {
-            extent.low[a] = extent.low[a].min(voxel[a]);
-            extent.high[a] = extent.high[a].max(voxel[a]);
-            extent.sum[a] += voxel[a];
+        for (a, &c) in voxel.iter().enumerate() {
+            extent.low[a] = extent.low[a].min(c);
+            extent.high[a] = extent.high[a].max(c);
+            extent.sum[a] += c;
         }
     }
     found
