@@ -147,8 +147,8 @@ pub fn prepare(
     }
     validate(options)?;
 
-    let clean = CleanOptions::default();
-    let depths: Vec<Vec<f32>> = frames.iter().map(|f| clean_depth(&f.image, &clean)).collect();
+    let clean = |f: &Frame| clean_depth(&f.image, &CleanOptions::of_lens(&f.intrinsics));
+    let depths: Vec<Vec<f32>> = frames.iter().map(clean).collect();
     let points = frame_points(first, &depths[0]);
     let workspace = Workspace::place(&options.workspace, options.grid, &points);
     stages.end("frame")?;

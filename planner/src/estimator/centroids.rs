@@ -1,7 +1,8 @@
 //! Contact centroids from votes: where the middles of many antipodal chords meet, a hand closes well.
 //!
 //! The refinement keeps what is above a share of the field's maximum, so a plain vote count would leave the
-//! largest object only. Votes are therefore normalized per peak: each object's own middle scores 1.
+//! largest object only. Votes are therefore normalized per peak: each object's own middle scores 1. An object
+//! without a peak (little of it was seen, or a neighbour hides its far side) gets a small one of its own.
 
 use crate::grid::Grid;
 
@@ -14,13 +15,58 @@ const MIN_VOTES: f32 = 0.12;
 /// Share of its peak from which a voxel's score reaches 1: a plateau that makes a cluster of some tens of voxels.
 const PLATEAU: f32 = 0.8;
 
-/// Scores 0 to 1 from smoothed votes; every accepted peak has a plateau of 1.
-pub(super) fn normalized(grid: &Grid, votes: &[f32]) -> Vec<f32> {
+/// An object is no ripple of the table when it is at least so many layers of voxels high ...
+const STANDING_LAYERS: usize = 3;
+/// ... and has at least so many voxels.
+const STANDING_VOXELS: usize = 30;
+/// A peak so far outside an object's box still belongs to it, voxels.
+const REACH_VOXELS: usize = 1;
+
+/// Where a connected group of object voxels is.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Extent {
+    low: [usize; 3],
+    high: [usize; 3],
+    count: usize,
+    sum: [usize; 3],
+}
+
+impl Extent {
+    /// Whether this is more than a ripple of the table.
+    pub(super) fn stands_out(&self) -> bool {
+        self.count >= STANDING_VOXELS && self.high[2] + 1 - self.low[2] >= STANDING_LAYERS
+    }
+
+    fn reaches(&self, voxel: [usize; 3]) -> bool {
+        (0..3).all(|a| voxel[a] + REACH_VOXELS >= self.low[a] && voxel[a] <= self.high[a] + REACH_VOXELS)
+    }
+}
+
+/// The extents of groups 1, 2, ... as [`Volume::object_groups`](crate::volume::Volume::object_groups) counts them.
+pub(super) fn extents(grid: &Grid, groups: &[u16]) -> Vec<Extent> {
+    let mut found: Vec<Extent> = Vec::new();
+    for (i, &group) in groups.iter().enumerate().filter(|(_, group)| **group > 0) {
+        let voxel = grid.voxel(i);
+        let none = Extent { low: [usize::MAX; 3], high: [0; 3], count: 0, sum: [0; 3] };
+        if found.len() < usize::from(group) {
+            found.resize(usize::from(group), none);
+        }
+        let extent = &mut found[usize::from(group) - 1];
+        extent.count += 1;
+        for (a, &c) in voxel.iter().enumerate() {
+            extent.low[a] = extent.low[a].min(c);
+            extent.high[a] = extent.high[a].max(c);
+            extent.sum[a] += c;
+        }
+    }
+    found
+}
+
+/// Scores 0 to 1 from smoothed votes; every accepted peak has a plateau of 1, and so has the middle of each object
+/// that stands out of the table and has no peak: one of few voxels, which the refinement weights low.
+pub(super) fn normalized(grid: &Grid, votes: &[f32], objects: &[Extent]) -> Vec<f32> {
     let mut score = vec![0.0; votes.len()];
     let strongest = votes.iter().copied().fold(0.0, f32::max);
-    if strongest <= 0.0 {
-        return score;
-    }
     let least = (strongest * MIN_SHARE).max(MIN_VOTES);
     let floor = 0.5 * least;
     let voted: Vec<u32> = (0..votes.len()).filter(|&i| votes[i] > floor).map(|i| i as u32).collect();
@@ -42,7 +88,7 @@ pub(super) fn normalized(grid: &Grid, votes: &[f32]) -> Vec<f32> {
             peaks.push((p, votes[i as usize]));
         }
     }
-    for i in voted {
+    for &i in &voted {
         let p = position(i);
         let nearest = peaks.iter().min_by(|a, b| squared(p, a.0).total_cmp(&squared(p, b.0)));
         if let Some((_, peak)) = nearest {
@@ -51,7 +97,45 @@ pub(super) fn normalized(grid: &Grid, votes: &[f32]) -> Vec<f32> {
             score[i as usize] = if share > 1.0 { 0.0 } else { (share / PLATEAU).min(1.0) };
         }
     }
+    let peaks: Vec<[usize; 3]> = peaks.iter().map(|(p, _)| p.map(|c| c as usize)).collect();
+    for object in objects.iter().filter(|o| o.stands_out()) {
+        // The strongest peak of a small object may be too sharp for a cluster of the size that the refinement asks
+        // for. Its further peaks have to be broad enough by themselves.
+        let own = peaks.iter().copied().find(|&p| object.reaches(p));
+        small_plateau(grid, &mut score, own.unwrap_or_else(|| middle(grid, votes, object)));
+    }
     score
+}
+
+/// Where an object without a peak has most votes, or, where these are next to nothing, its middle.
+fn middle(grid: &Grid, votes: &[f32], object: &Extent) -> [usize; 3] {
+    let mut best = (0.5 * MIN_VOTES, object.sum.map(|s| (s + object.count / 2) / object.count.max(1)));
+    for x in object.low[0]..=object.high[0] {
+        for y in object.low[1]..=object.high[1] {
+            for z in object.low[2]..=object.high[2] {
+                let votes = votes[grid.index(x, y, z)];
+                if votes > best.0 {
+                    best = (votes, [x, y, z]);
+                }
+            }
+        }
+    }
+    best.1
+}
+
+/// The 19 voxels around `center` that share a face or an edge with it: enough to be a cluster.
+fn small_plateau(grid: &Grid, score: &mut [f32], center: [usize; 3]) {
+    let n = grid.resolution;
+    let range = |c: usize| c.saturating_sub(1)..(c + 2).min(n);
+    for x in range(center[0]) {
+        for y in range(center[1]) {
+            for z in range(center[2]) {
+                if x.abs_diff(center[0]) + y.abs_diff(center[1]) + z.abs_diff(center[2]) <= 2 {
+                    score[grid.index(x, y, z)] = 1.0;
+                }
+            }
+        }
+    }
 }
 
 fn is_maximum(grid: &Grid, votes: &[f32], i: usize) -> bool {
@@ -75,10 +159,38 @@ mod tests {
         };
         let votes: Vec<f32> =
             (0..grid.len()).map(|i| bump([10, 10, 10], 9.0, i) + bump([30, 30, 12], 1.0, i)).collect();
-        let score = normalized(&grid, &votes);
+        let score = normalized(&grid, &votes, &[]);
         assert_eq!(score[grid.index(10, 10, 10)], 1.0);
         assert_eq!(score[grid.index(30, 30, 12)], 1.0);
         assert!(score[grid.index(20, 20, 11)] < 0.2);
-        assert!(normalized(&grid, &vec![0.0; grid.len()]).iter().all(|&s| s == 0.0));
+        assert!(normalized(&grid, &vec![0.0; grid.len()], &[]).iter().all(|&s| s == 0.0));
+    }
+
+    #[test]
+    fn an_object_without_a_peak_gets_a_small_one_and_a_ripple_none() {
+        let grid = Grid { resolution: 40, size_m: 0.2 };
+        let mut groups = vec![0u16; grid.len()];
+        for i in 0..grid.len() {
+            let [x, y, z] = grid.voxel(i);
+            let within = |c: usize, low: usize, high: usize| (low..=high).contains(&c);
+            if within(x, 8, 12) && within(y, 8, 12) && within(z, 8, 12) {
+                groups[i] = 1;
+            } else if within(x, 28, 32) && within(y, 20, 24) && within(z, 8, 11) {
+                groups[i] = 2;
+            } else if within(x, 5, 35) && within(y, 36, 38) && z == 8 {
+                groups[i] = 3;
+            }
+        }
+        let votes: Vec<f32> = (0..grid.len())
+            .map(|i| {
+                let v = grid.voxel(i).map(|c| c as f32 - 10.0);
+                9.0 * (-v.iter().map(|c| c * c).sum::<f32>() / 8.0).exp()
+            })
+            .collect();
+        let score = normalized(&grid, &votes, &extents(&grid, &groups));
+        let ones = |group: u16| (0..score.len()).filter(|&i| groups[i] == group && score[i] >= 1.0).count();
+        assert_eq!(score[grid.index(30, 22, 10)], 1.0);
+        assert_eq!([ones(2), ones(3)], [19, 0]);
+        assert!(ones(1) >= 7, "the votes decide where there are enough of them");
     }
 }

@@ -14,13 +14,13 @@ const TAPS: [f32; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
 pub(super) struct Region(pub(super) [Range<usize>; 3]);
 
 impl Region {
-    /// Smallest box around the set voxels, grown by `margin` voxels on each side; `None` for an empty set.
-    pub(super) fn around(grid: &Grid, set: &[bool], margin: usize) -> Option<Self> {
+    /// Smallest box around the voxels that are not 0, grown by `margin` voxels on each side; `None` for an empty set.
+    pub(super) fn around(grid: &Grid, set: &[u16], margin: usize) -> Option<Self> {
         let n = grid.resolution;
         let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
         for (row, column) in set.chunks(n.max(1)).enumerate() {
-            let Some(first) = column.iter().position(|&s| s) else { continue };
-            let last = column.iter().rposition(|&s| s).unwrap_or(first);
+            let Some(first) = column.iter().position(|&s| s > 0) else { continue };
+            let last = column.iter().rposition(|&s| s > 0).unwrap_or(first);
             let [x, y] = [row / n, row % n];
             low = [low[0].min(x), low[1].min(y), low[2].min(first)];
             high = [high[0].max(x), high[1].max(y), high[2].max(last)];
@@ -100,12 +100,14 @@ mod tests {
         let grid = Grid { resolution: 9, size_m: 0.09 };
         let mut values = vec![0.0f32; grid.len()];
         values[grid.index(4, 4, 1)] = 1.0;
-        let region = Region::around(&grid, &values.iter().map(|&v| v > 0.0).collect::<Vec<_>>(), 2).unwrap();
+        let region =
+            Region::around(&grid, &values.iter().map(|&v| u16::from(v > 0.0)).collect::<Vec<_>>(), 2)
+                .unwrap();
         assert_eq!(region, Region([2..7, 2..7, 0..4]));
         let out = smooth(&grid, &values, &region);
         assert!((out[grid.index(4, 4, 1)] - 0.375f32.powi(3)).abs() < 1e-7);
         assert!((out[grid.index(5, 2, 0)] - 0.25 * 0.0625 * 0.25).abs() < 1e-7);
         assert!((out.iter().sum::<f32>() - 0.9375).abs() < 1e-5);
-        assert_eq!(Region::around(&grid, &vec![false; grid.len()], 2), None);
+        assert_eq!(Region::around(&grid, &vec![0; grid.len()], 2), None);
     }
 }

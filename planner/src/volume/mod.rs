@@ -8,7 +8,7 @@ mod encode;
 mod integrate;
 mod solid;
 
-pub use solid::MIN_OBJECT_VOXELS;
+pub use solid::{MIN_OBJECT_VOXELS, PIT_VOXELS};
 
 use crate::grid::Grid;
 use crate::options::{Region, VolumeKind};

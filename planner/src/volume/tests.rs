@@ -140,6 +140,47 @@ fn free_space_under_a_roof_ends_the_completion_and_pits_are_filled() {
 }
 
 #[test]
+fn a_wide_hole_in_an_object_is_filled_and_a_valley_is_not() {
+    use VoxelState::{Free, Surface, Unseen};
+    // A block with a hole of four by four voxels without a return, and the same open to one side.
+    let with_hole = |open: bool| {
+        let volume = columns(&move |x, y, z| match (x, y, z) {
+            (4..8, 4..8, _) => Unseen,
+            (8.., 4..8, _) if open => Free,
+            (_, _, 9..) => Free,
+            (_, _, 8) => Surface,
+            _ => Unseen,
+        });
+        let solid = volume.solid();
+        solid[volume.grid.index(5, 6, 6)]
+    };
+    assert!(with_hole(false));
+    assert!(!with_hole(true), "what is enclosed on three sides only may be free");
+}
+
+#[test]
+fn shadows_of_an_occupancy_volume_are_solid_but_no_objects() {
+    use VoxelState::{Free, Surface, Unseen};
+    let mut volume = columns(&|x, y, z| match (x, y, z) {
+        (3..6, _, 8) => Surface,
+        (3..6, _, 0..8) => Unseen,
+        // The shadow, five voxels wide.
+        (6..11, _, 0..8) => Unseen,
+        // The ray of a pixel without a return.
+        (1, 6, _) => Unseen,
+        _ => Free,
+    });
+    volume.kind = crate::options::VolumeKind::Occupancy;
+    let solid = volume.solid();
+    let groups = volume.object_groups(&solid);
+    let at = |x, y, z| volume.grid.index(x, y, z);
+    assert!(solid[at(4, 4, 6)] && groups[at(4, 4, 6)] > 0);
+    assert!(solid[at(9, 4, 6)] && groups[at(9, 4, 6)] == 0);
+    assert!(!solid[at(1, 6, 9)], "a streak is no wall");
+    assert!(!solid[at(0, 0, 6)]);
+}
+
+#[test]
 fn specks_are_no_objects() {
     let volume = columns(&|x, y, z| {
         if (x, y, z) == (4, 4, 8) { VoxelState::Surface } else { VoxelState::Free }
