@@ -117,6 +117,9 @@ pub struct Item {
     pub attempts: usize,
 }
 
+/// The number of candidates is doubled at most this often where plan after plan finds nothing.
+const MOST_DOUBLINGS: usize = 2;
+
 /// One tray, cleared or given up.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -276,6 +279,10 @@ fn clear_tray(
         // Every attempt begins in a world that was read from its file, so that it can be repeated from it exactly.
         let scene_json = scene::to_json(&world);
         world = scene::from_json(&scene_json)?;
+        // Where nothing was found, twice as many hands look again.
+        let batch = settings.search.batch << in_vain.min(MOST_DOUBLINGS);
+        let search = PlanOptions { batch, ..settings.search.clone() };
+        let conditions = &Conditions { search: &search, ..*conditions };
         let (plan, planning_ms) = conditions.plan(&world, noise_seed, plan_seed)?;
         done.planning_ms.push(planning_ms);
         let figures = Figures::of(&plan, conditions.hand);
@@ -333,7 +340,7 @@ fn clear_tray(
         }
         observer.attempt(&attempt);
         if attempt.class != Class::Success {
-            let search = &settings.search;
+            let search = &search;
             observer.failed(&FailedTrial::new(
                 &attempt,
                 conditions.hand,

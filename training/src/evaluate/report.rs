@@ -29,9 +29,11 @@ pub struct Cell {
     pub hand: String,
     /// The setup; none for both together.
     pub setup: Option<Setup>,
-    /// Attempts: executed grasps, and plans that found none though objects were there.
+    /// Executed grasps ("total grasp execution times", Supplementary Note 7).
     pub trials: usize,
-    /// Attempts after which an object was in the container.
+    /// Plans that found no grasp though objects were there; not trials, for nothing was executed.
+    pub empty_plans: usize,
+    /// Trials after which an object was in the container.
     pub successes: usize,
     /// Successes over trials, with its 95 % Wilson interval.
     pub rate: Share,
@@ -43,9 +45,9 @@ pub struct Cell {
     pub held: usize,
     /// FGM: successful grasps over grasped objects (Supplementary Note 7); 1 without any.
     pub fgm: f64,
-    /// Trials over items.
+    /// Trials and plans without a grasp, over items.
     pub attempts_per_object: f64,
-    /// Attempts by class.
+    /// Trials and plans without a grasp, by class.
     pub classes: BTreeMap<Class, usize>,
     /// Why no grasp was found, by the planner's reason.
     pub nothing: BTreeMap<String, usize>,
@@ -65,6 +67,8 @@ impl Cell {
         let items = runs.iter().map(|r| r.items.len()).sum();
         let successes = attempts.iter().filter(|a| a.class == Class::Success).count();
         let held: usize = attempts.iter().filter(|a| a.class == Class::Success).map(|a| a.held.len()).sum();
+        let empty_plans = attempts.iter().filter(|a| a.class == Class::NoGrasp).count();
+        let trials = attempts.len() - empty_plans;
         let mut classes = BTreeMap::new();
         let (mut nothing, mut rejected) = (BTreeMap::new(), BTreeMap::new());
         for attempt in &attempts {
@@ -80,9 +84,10 @@ impl Cell {
         Self {
             hand: hand.to_owned(),
             setup,
-            trials: attempts.len(),
+            trials,
+            empty_plans,
             successes,
-            rate: wilson(successes, attempts.len()),
+            rate: wilson(successes, trials),
             items,
             cleared: runs.iter().flat_map(|r| &r.items).filter(|i| i.cleared).count(),
             held,
@@ -217,6 +222,7 @@ impl Report {
             row(title, &|c| format!("{}/{:.1}%", c.trials, 100.0 * c.rate.rate));
             row("  95 %", &|c| format!("{:.1}–{:.1}%", 100.0 * c.rate.low, 100.0 * c.rate.high));
             row("  cleared", &|c| format!("{} of {}", c.cleared, c.items));
+            row("  plans without a grasp", &|c| c.empty_plans.to_string());
             row("  hardware, published", &|c| published(&c.hand, setup));
         }
         Some(table)
@@ -382,18 +388,18 @@ mod tests {
         let single = run(Setup::Single, vec![attempt(Setup::Single, Class::NoGrasp, &[])], [false, false]);
         let report = Report::new(Vec::new(), vec![single, clutter]);
         let rows: Vec<_> = report.cells.iter().map(|c| (c.setup, c.trials, c.successes, c.cleared)).collect();
-        let expected = [(Some(Setup::Single), 1, 0, 0), (Some(Setup::Clutter), 2, 1, 2), (None, 3, 1, 2)];
+        let expected = [(Some(Setup::Single), 0, 0, 0), (Some(Setup::Clutter), 2, 1, 2), (None, 2, 1, 2)];
         assert_eq!(rows, expected);
         let overall = &report.cells[2];
         assert_eq!((overall.held, overall.fgm), (2, 0.5));
         assert_eq!(overall.attempts_per_object, 0.75);
-        assert_eq!(overall.rate, wilson(1, 3));
+        assert_eq!((overall.rate, overall.empty_plans), (wilson(1, 2), 1));
         // Both pegs are of one kind.
         assert_eq!(report.families.len(), 1);
         let family = &report.families[0];
         assert_eq!((family.name.as_str(), family.trials, family.items), ("peg", 2, 4));
         let text = report.text();
-        assert!(text.contains("3/33.3%") && text.contains("51/98.0%"), "{text}");
+        assert!(text.contains("2/50.0%") && text.contains("51/98.0%"), "{text}");
     }
 
     #[test]

@@ -139,8 +139,9 @@ pub(crate) fn run(args: &ClearArgs) -> anyhow::Result<()> {
             args.scheme.with_penetration
         ),
         format!(
-            "trials are executed grasps and plans that found no grasp; an object is given up, and counts as not \
-             cleared, after {give_up} failed trials, a tray after {give_up} plans in a row without a grasp",
+            "trials are executed grasps, as the supplement counts them; a plan without a grasp is made again from a \
+             new frame with twice the candidates; an object is given up, and counts as not cleared, after {give_up} \
+             failed trials, a tray after {give_up} plans in a row without a grasp",
             give_up = args.give_up
         ),
         "success: at least one object was lifted by 15 cm, held and shaken, and not lost; objects outside the \
