@@ -15,6 +15,14 @@ use crate::stage::{Process, Stage};
 
 /// An arm that does not come to rest for this long while it brakes is taken to stand, seconds.
 const BRAKE_LIMIT_S: f64 = 0.5;
+/// A motion that makes less than [`PROGRESS`] of its speed for this long is blocked, seconds.
+const BLOCKED_S: f64 = 0.5;
+/// Share of its speed that a motion must make.
+const PROGRESS: f64 = 0.1;
+/// Turning counts as the way of a point this far from the flange, metres.
+const TURNING_M: f64 = 0.1;
+/// A blocked arm that is this close to where it was sent, metres and radians, is there: it presses, and holds.
+const IN_POSITION: (f64, f64) = (2e-3, 2e-2);
 /// A motion that does not end in time is braked this long before, seconds, so that the answer comes in time.
 const BRAKE_AHEAD_S: f64 = 0.05;
 
@@ -33,6 +41,29 @@ struct Motion {
     began_s: f64,
     last: Vector3<f64>,
     path_m: f64,
+    goal: Isometry3<f64>,
+    speed_m_s: f64,
+    /// The least way that was left, and when it was reached.
+    left_m: f64,
+    left_at_s: f64,
+}
+
+impl Motion {
+    /// Way and angle left.
+    fn left(&self, at: &Isometry3<f64>) -> (f64, f64) {
+        let way = (self.goal.translation.vector - at.translation.vector).norm();
+        (way, self.goal.rotation.angle_to(&at.rotation))
+    }
+
+    /// True when something blocks it: it has stopped following its path.
+    fn blocked(&mut self, at: &Isometry3<f64>, now_s: f64) -> bool {
+        let (way, angle) = self.left(at);
+        let left_m = way + TURNING_M * angle;
+        if left_m < self.left_m - PROGRESS * self.speed_m_s * BLOCKED_S {
+            (self.left_m, self.left_at_s) = (left_m, now_s);
+        }
+        now_s - self.left_at_s > BLOCKED_S
+    }
 }
 
 enum Phase {
@@ -175,8 +206,17 @@ impl ArmCore {
             let _unheard = order.reply.send(Err(self.gone()));
             return;
         };
-        let motion =
-            Motion { call: order.call, reply: order.reply, began_s: world.time_s(), last, path_m: 0.0 };
+        let motion = Motion {
+            call: order.call,
+            reply: order.reply,
+            began_s: world.time_s(),
+            last,
+            path_m: 0.0,
+            goal: order.world_from_hand,
+            speed_m_s: order.speed_m_s.min(TURNING_M * self.settings.turn_rad_s),
+            left_m: f64::INFINITY,
+            left_at_s: world.time_s(),
+        };
         match std::mem::replace(&mut self.phase, Phase::Moving(motion)) {
             Phase::Moving(old) => {
                 let error = stopped(&old.call);
@@ -220,10 +260,13 @@ impl ArmCore {
         matches!(self.phase, Phase::Standing) && self.stops.is_empty()
     }
 
-    /// Ends the motion that runs where something ends it.
+    /// Ends the motion that runs where something ends it. Real arms stop themselves, too, when they cannot follow
+    /// their path: otherwise a hand that is wedged by friction or held by its fingertips would press for ever.
     fn watch_motion(&mut self, world: &mut World, state: &HandState) {
-        let Phase::Moving(motion) = &self.phase else { return };
         let now_s = world.time_s();
+        let Phase::Moving(motion) = &mut self.phase else { return };
+        let blocked = motion.blocked(&state.world_from_hand, now_s);
+        let (way, angle) = motion.left(&state.world_from_hand);
         let timed_out = (now_s >= motion.call.until_s - BRAKE_AHEAD_S).then(|| motion.call.timed_out());
         let call = motion.call.clone();
         if motion.reply.is_closed() {
@@ -243,10 +286,14 @@ impl ArmCore {
         if let Some(limit) = self.settings.stop_force_n.filter(|limit| force_n > *limit) {
             let detail = format!("{force_n:.0} N at the hand during {}, limit {limit:.0} N", call.operation);
             self.halt(world, FaultKind::ProtectiveStop, detail);
-        } else if state.arrived {
+        } else if state.arrived || (blocked && way < IN_POSITION.0 && angle < IN_POSITION.1) {
             if let Phase::Moving(motion) = std::mem::replace(&mut self.phase, Phase::Standing) {
                 let _unheard = motion.reply.send(Ok(()));
             }
+        } else if blocked {
+            let (way, angle) = (1000.0 * way, angle.to_degrees());
+            let detail = format!("blocked {way:.1} mm and {angle:.1} degrees before the end of {}", call.operation);
+            self.halt(world, FaultKind::ProtectiveStop, detail);
         } else if let Some(error) = timed_out {
             self.brake(world, |_| error.clone());
         }
