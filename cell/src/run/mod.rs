@@ -84,7 +84,7 @@ pub async fn clear_tray(
 ) -> Result<Report, CellError> {
     config.check()?;
     let facts = facts(cell, config, observer).await?;
-    let expected: Vec<String> = facts.actuators.iter().map(|(name, _)| name.clone()).collect();
+    let expected: Vec<String> = facts.actuators.iter().map(|a| a.name.clone()).collect();
     let hand = cell.hand.info();
     let (mut a, mut b) = (hand.actuators.clone(), expected.clone());
     a.sort();
