@@ -209,7 +209,7 @@ impl Arm for MockArm {
         force_n: f64,
         timeout: Duration,
     ) -> Result<Reached, DeviceError> {
-        if !(force_n > 0.0) {
+        if force_n.is_nan() || force_n <= 0.0 {
             let (device, field) = (self.link.device.clone(), "force_n".to_owned());
             let (found, expected) = (force_n.to_string(), "above 0".to_owned());
             return Err(DeviceError::OutOfRange { device, field, found, expected });
