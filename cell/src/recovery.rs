@@ -160,8 +160,15 @@ pub const TABLE: &[Row] = &[
         first: Recovery::Retry,
         then: Recovery::End,
     },
+    // The hand holds something that does not come up, such as the tray's wall: over the tray it may let go.
     Row {
-        steps: &[Step::Lift, Step::Carry],
+        steps: &[Step::Lift],
+        trouble: Trouble::Stop,
+        first: Recovery::ClearAndFeel,
+        then: Recovery::Retreat,
+    },
+    Row {
+        steps: &[Step::Carry],
         trouble: Trouble::Stop,
         first: Recovery::ClearAndFeel,
         then: Recovery::End,

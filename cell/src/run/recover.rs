@@ -88,7 +88,7 @@ impl Run<'_> {
     /// What trouble in this step makes of the trial.
     fn failure_class(&self, trouble: Trouble) -> FailureClass {
         match (self.step, trouble) {
-            (Step::Approach, Trouble::Stop) => FailureClass::Collision,
+            (Step::Approach | Step::Lift, Trouble::Stop) => FailureClass::Collision,
             // Whatever was lost later: a hand that does not get where it should has collided (Fig. 8b, c).
             (_, Trouble::NothingHeld) if self.attempt.met => FailureClass::Collision,
             (Step::CheckContact, Trouble::NothingHeld) => FailureClass::UnstableContact,
