@@ -167,12 +167,7 @@ pub const TABLE: &[Row] = &[
         first: Recovery::ClearAndFeel,
         then: Recovery::Retreat,
     },
-    Row {
-        steps: &[Step::Carry],
-        trouble: Trouble::Stop,
-        first: Recovery::ClearAndFeel,
-        then: Recovery::End,
-    },
+    Row { steps: &[Step::Carry], trouble: Trouble::Stop, first: Recovery::ClearAndFeel, then: Recovery::End },
     Row {
         steps: &[Step::Lift],
         trouble: Trouble::OutOfReach,
