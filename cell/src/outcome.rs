@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FailureClass {
-    /// The arm stopped itself on the straight approach: the hand met the table or an object (Fig. 8b, c).
+    /// The hand met the table or an object on the straight approach, and held nothing afterwards (Fig. 8b, c).
     Collision,
     /// The fingers closed on nothing, or on too little (Fig. 8a, d, e).
     UnstableContact,

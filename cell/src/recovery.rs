@@ -45,7 +45,8 @@ impl Recovery {
                 "attempt failed: stop, clear the fault, open the hand, straight back; plan again"
             }
             Self::PlanAgain => {
-                "look and plan again, every second time with any reaching direction, always with another seed"
+                "look and plan again, with another seed, every second time with any reaching direction, later with up to \
+                 four times as many candidates"
             }
             Self::End => "end the run where everything stands, and say why",
         }
@@ -159,12 +160,14 @@ pub const TABLE: &[Row] = &[
         first: Recovery::Retry,
         then: Recovery::End,
     },
+    // The hand holds something that does not come up, such as the tray's wall: over the tray it may let go.
     Row {
-        steps: &[Step::Lift, Step::Carry],
+        steps: &[Step::Lift],
         trouble: Trouble::Stop,
         first: Recovery::ClearAndFeel,
-        then: Recovery::End,
+        then: Recovery::Retreat,
     },
+    Row { steps: &[Step::Carry], trouble: Trouble::Stop, first: Recovery::ClearAndFeel, then: Recovery::End },
     Row {
         steps: &[Step::Lift],
         trouble: Trouble::OutOfReach,

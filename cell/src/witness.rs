@@ -13,6 +13,9 @@ pub struct Witnessed {
     pub lost: u32,
     /// Objects that are in the tray now.
     pub in_tray: u32,
+    /// Objects that are in the hand now: wedged between its fingers, where it has opened.
+    #[serde(default)]
+    pub in_hand: u32,
 }
 
 /// Somebody who sees what the cell cannot feel.

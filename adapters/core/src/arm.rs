@@ -29,6 +29,15 @@ pub struct Limits {
     pub acceleration_m_s2: f64,
 }
 
+/// How a guarded motion ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reached {
+    /// At the pose.
+    Goal,
+    /// Before it: the hand met something.
+    Contact,
+}
+
 /// Whether the arm can be moved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ArmMode {
@@ -87,6 +96,22 @@ pub trait Arm: Send + Sync + std::fmt::Debug {
         limits: Limits,
         timeout: Duration,
     ) -> Result<(), DeviceError>;
+
+    /// Takes the flange to a pose on a straight line, and stops where something presses on the hand with more than
+    /// `force_n` newtons (a guarded motion). An arm that feels no force goes on to the pose, as this default does.
+    ///
+    /// # Errors
+    /// As [`Arm::move_to`].
+    async fn move_until_contact(
+        &self,
+        world_from_flange: &Isometry3<f64>,
+        limits: Limits,
+        force_n: f64,
+        timeout: Duration,
+    ) -> Result<Reached, DeviceError> {
+        let _ = force_n;
+        self.move_linear(world_from_flange, limits, timeout).await.map(|()| Reached::Goal)
+    }
 
     /// Stops any motion with bounded deceleration. Ends when the arm stands.
     ///

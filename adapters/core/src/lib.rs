@@ -17,7 +17,7 @@ mod camera;
 mod error;
 mod hand;
 
-pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits};
+pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits, Reached};
 pub use async_trait::async_trait;
 pub use camera::{CameraInfo, DepthCamera, DepthFrame, Lens};
 pub use error::{DeviceError, FaultKind};

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use async_trait::async_trait;
-use graspd_adapters_core::{Arm, ArmInfo, ArmState, DeviceError, Limits};
+use graspd_adapters_core::{Arm, ArmInfo, ArmState, DeviceError, Limits, Reached};
 use graspd_sim::world::HandId;
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
@@ -109,8 +109,9 @@ impl MockArm {
         operation: &'static str,
         to: &Isometry3<f64>,
         limits: Limits,
+        contact_n: Option<f64>,
         timeout: Duration,
-    ) -> Result<(), DeviceError> {
+    ) -> Result<Reached, DeviceError> {
         let call = self.link.call(operation, timeout);
         let work = async {
             self.check(to, limits)?;
@@ -118,7 +119,7 @@ impl MockArm {
             let (state, world_from_hand, theirs) = (self.state.clone(), *to, call.clone());
             let speed_m_s = limits.speed_m_s;
             let answer = self.link.shared.request(move |stage, reply| {
-                state.begin(stage, Order { call: theirs, reply, world_from_hand, speed_m_s });
+                state.begin(stage, Order { call: theirs, reply, world_from_hand, speed_m_s, contact_n });
             });
             let answer = answer.await.map_err(|_| self.link.ended())?;
             self.link.back(&call, answer).await
@@ -189,7 +190,7 @@ impl Arm for MockArm {
         limits: Limits,
         timeout: Duration,
     ) -> Result<(), DeviceError> {
-        self.travel("move_to", world_from_flange, limits, timeout).await
+        self.travel("move_to", world_from_flange, limits, None, timeout).await.map(|_| ())
     }
 
     async fn move_linear(
@@ -198,7 +199,22 @@ impl Arm for MockArm {
         limits: Limits,
         timeout: Duration,
     ) -> Result<(), DeviceError> {
-        self.travel("move_linear", world_from_flange, limits, timeout).await
+        self.travel("move_linear", world_from_flange, limits, None, timeout).await.map(|_| ())
+    }
+
+    async fn move_until_contact(
+        &self,
+        world_from_flange: &Isometry3<f64>,
+        limits: Limits,
+        force_n: f64,
+        timeout: Duration,
+    ) -> Result<Reached, DeviceError> {
+        if force_n.is_nan() || force_n <= 0.0 {
+            let (device, field) = (self.link.device.clone(), "force_n".to_owned());
+            let (found, expected) = (force_n.to_string(), "above 0".to_owned());
+            return Err(DeviceError::OutOfRange { device, field, found, expected });
+        }
+        self.travel("move_until_contact", world_from_flange, limits, Some(force_n), timeout).await
     }
 
     async fn stop(&self, timeout: Duration) -> Result<(), DeviceError> {

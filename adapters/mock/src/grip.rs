@@ -14,6 +14,9 @@ use crate::stage::{Process, Stage};
 const STALL_S: f64 = 0.2;
 /// ... no actuator has gone farther than this share of its range: controllers end a grip that creeps.
 const STALL_SHARE: f64 = 1e-3;
+/// An actuator at rest is also held when it gives this share of the effort that it was allowed: so a hand feels what is
+/// so thin that its fingers all but reach their targets.
+const HELD_LOAD: f64 = 0.2;
 /// A grip that does not end in time is stopped this long before, seconds, so that the answer comes in time.
 const STOP_AHEAD_S: f64 = 0.01;
 
@@ -107,10 +110,15 @@ impl HandCore {
         let held = match (&self.target, self.held_share) {
             (_, None) => Vec::new(),
             (None, Some(_)) => vec![false; self.ranges.len()],
-            (Some((target, _)), Some(share)) => {
-                let away = state.actuators.iter().zip(target).zip(&self.ranges);
-                let short = |((at, target), range): ((&f64, &f64), &f64)| (at - target).abs() > share * range;
-                away.map(|actuator| settled && !self.overloaded && short(actuator)).collect()
+            (Some((target, force)), Some(share)) => {
+                let full = world.full_efforts(self.hand).unwrap_or_default();
+                let held = |i: usize| {
+                    let short = (state.actuators[i] - target[i]).abs() > share * self.ranges[i];
+                    let allowed = force * full.get(i).copied().unwrap_or(0.0);
+                    short || (allowed > 0.0 && state.efforts[i].abs() >= HELD_LOAD * allowed)
+                };
+                let alive = settled && !self.overloaded;
+                (0..target.len().min(state.efforts.len())).map(|i| alive && held(i)).collect()
             }
         };
         Ok(HandState { actuators: state.actuators, held, settled })

@@ -23,7 +23,8 @@ pub struct HandSettings {
     pub name: String,
     /// False for a hand that does not say when something holds its motors.
     pub feels_contact: bool,
-    /// How far from its target an actuator at rest counts as held, share of its range.
+    /// How far from its target an actuator at rest counts as held, share of its range. One that presses with a fifth of
+    /// what it was allowed counts, too.
     pub held_share: f64,
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use graspd_adapters_core::{ArmMode, DeviceError, FaultKind};
+use graspd_adapters_core::{ArmMode, DeviceError, FaultKind, Reached};
 use graspd_sim::world::{Command, HandId, HandState, Touched, World};
 use nalgebra::{Isometry3, Vector3};
 
@@ -15,33 +15,67 @@ use crate::stage::{Process, Stage};
 
 /// An arm that does not come to rest for this long while it brakes is taken to stand, seconds.
 const BRAKE_LIMIT_S: f64 = 0.5;
+/// A motion that makes less than [`PROGRESS`] of its speed for this long is blocked, seconds.
+const BLOCKED_S: f64 = 0.5;
+/// Share of its speed that a motion must make.
+const PROGRESS: f64 = 0.1;
+/// Turning counts as the way of a point this far from the flange, metres.
+const TURNING_M: f64 = 0.1;
+/// A blocked arm that is this close to where it was sent, metres and radians, is there: it presses, and holds.
+const IN_POSITION: (f64, f64) = (2e-3, 2e-2);
 /// A motion that does not end in time is braked this long before, seconds, so that the answer comes in time.
 const BRAKE_AHEAD_S: f64 = 0.05;
 
 /// A motion to begin.
 pub(crate) struct Order {
     pub(crate) call: Call,
-    pub(crate) reply: Reply<()>,
+    pub(crate) reply: Reply<Reached>,
     pub(crate) world_from_hand: Isometry3<f64>,
     pub(crate) speed_m_s: f64,
+    /// Force at which it ends as it should; none: it goes on.
+    pub(crate) contact_n: Option<f64>,
 }
 
 /// A motion that runs.
 struct Motion {
     call: Call,
-    reply: Reply<()>,
+    reply: Reply<Reached>,
     began_s: f64,
     last: Vector3<f64>,
     path_m: f64,
+    goal: Isometry3<f64>,
+    speed_m_s: f64,
+    contact_n: Option<f64>,
+    /// The least way that was left, and when it was reached.
+    left_m: f64,
+    left_at_s: f64,
+}
+
+impl Motion {
+    /// Way and angle left.
+    fn left(&self, at: &Isometry3<f64>) -> (f64, f64) {
+        let way = (self.goal.translation.vector - at.translation.vector).norm();
+        (way, self.goal.rotation.angle_to(&at.rotation))
+    }
+
+    /// True when something blocks it: it has stopped following its path.
+    fn blocked(&mut self, at: &Isometry3<f64>, now_s: f64) -> bool {
+        let (way, angle) = self.left(at);
+        let left_m = way + TURNING_M * angle;
+        if left_m < self.left_m - PROGRESS * self.speed_m_s * BLOCKED_S {
+            (self.left_m, self.left_at_s) = (left_m, now_s);
+        }
+        now_s - self.left_at_s > BLOCKED_S
+    }
 }
 
 enum Phase {
     Standing,
     Moving(Motion),
-    /// Braking after a motion that ended early; its caller hears the error when the arm stands.
+    /// Braking after a motion that ended early; its caller hears of it when the arm stands.
     Braking {
         since_s: f64,
-        then: Option<(Call, Reply<()>, DeviceError)>,
+        then: Option<(Call, Reply<Reached>, Result<Reached, DeviceError>)>,
     },
 }
 
@@ -108,7 +142,7 @@ impl Shared {
     /// Brakes whatever runs; the reply comes when the arm stands.
     pub(crate) fn stop(&self, stage: &mut Stage, call: Call, reply: Reply<()>) {
         let mut core = self.lock();
-        core.brake(&mut stage.world, stopped);
+        core.brake(&mut stage.world, |call| Err(stopped(call)));
         if matches!(core.phase, Phase::Standing) {
             let _unheard = reply.send(Ok(()));
             return;
@@ -175,15 +209,25 @@ impl ArmCore {
             let _unheard = order.reply.send(Err(self.gone()));
             return;
         };
-        let motion =
-            Motion { call: order.call, reply: order.reply, began_s: world.time_s(), last, path_m: 0.0 };
+        let motion = Motion {
+            call: order.call,
+            reply: order.reply,
+            began_s: world.time_s(),
+            last,
+            path_m: 0.0,
+            goal: order.world_from_hand,
+            speed_m_s: order.speed_m_s.min(TURNING_M * self.settings.turn_rad_s),
+            contact_n: order.contact_n,
+            left_m: f64::INFINITY,
+            left_at_s: world.time_s(),
+        };
         match std::mem::replace(&mut self.phase, Phase::Moving(motion)) {
             Phase::Moving(old) => {
                 let error = stopped(&old.call);
                 let _unheard = old.reply.send(Err(error));
             }
-            Phase::Braking { then: Some((_, reply, error)), .. } => {
-                let _unheard = reply.send(Err(error));
+            Phase::Braking { then: Some((_, reply, answer)), .. } => {
+                let _unheard = reply.send(answer);
             }
             Phase::Braking { then: None, .. } | Phase::Standing => {}
         }
@@ -193,7 +237,7 @@ impl ArmCore {
     fn after_step(&mut self, world: &mut World) -> bool {
         let Some(state) = world.hand_state(self.hand) else {
             let error = self.gone();
-            self.answer(&Err(error));
+            self.answer_all(&error);
             return true;
         };
         self.look_at_button(world);
@@ -208,8 +252,8 @@ impl ArmCore {
             Phase::Braking { since_s, then } => {
                 let late = then.as_ref().is_some_and(|(call, ..)| now_s >= call.until_s);
                 if state.arrived || late || now_s - *since_s > BRAKE_LIMIT_S {
-                    if let Some((_, reply, error)) = then.take() {
-                        let _unheard = reply.send(Err(error));
+                    if let Some((_, reply, answer)) = then.take() {
+                        let _unheard = reply.send(answer);
                     }
                     self.phase = Phase::Standing;
                 }
@@ -220,14 +264,17 @@ impl ArmCore {
         matches!(self.phase, Phase::Standing) && self.stops.is_empty()
     }
 
-    /// Ends the motion that runs where something ends it.
+    /// Ends the motion that runs where something ends it. Real arms stop themselves, too, when they cannot follow
+    /// their path: otherwise a hand that is wedged by friction or held by its fingertips would press for ever.
     fn watch_motion(&mut self, world: &mut World, state: &HandState) {
-        let Phase::Moving(motion) = &self.phase else { return };
         let now_s = world.time_s();
+        let Phase::Moving(motion) = &mut self.phase else { return };
+        let blocked = motion.blocked(&state.world_from_hand, now_s);
+        let (way, angle) = motion.left(&state.world_from_hand);
         let timed_out = (now_s >= motion.call.until_s - BRAKE_AHEAD_S).then(|| motion.call.timed_out());
         let call = motion.call.clone();
         if motion.reply.is_closed() {
-            self.brake(world, stopped);
+            self.brake(world, |call| Err(stopped(call)));
             return;
         }
         if let Some(kind) = self.faults.motion_stop(motion.path_m, now_s - motion.began_s) {
@@ -239,16 +286,24 @@ impl ArmCore {
             self.halt(world, kind, detail);
             return;
         }
+        let contact_n = motion.contact_n.unwrap_or(f64::INFINITY);
         let force_n = self.feel(world);
         if let Some(limit) = self.settings.stop_force_n.filter(|limit| force_n > *limit) {
             let detail = format!("{force_n:.0} N at the hand during {}, limit {limit:.0} N", call.operation);
             self.halt(world, FaultKind::ProtectiveStop, detail);
-        } else if state.arrived {
+        } else if force_n > contact_n {
+            self.brake(world, |_| Ok(Reached::Contact));
+        } else if state.arrived || (blocked && way < IN_POSITION.0 && angle < IN_POSITION.1) {
             if let Phase::Moving(motion) = std::mem::replace(&mut self.phase, Phase::Standing) {
-                let _unheard = motion.reply.send(Ok(()));
+                let _unheard = motion.reply.send(Ok(Reached::Goal));
             }
+        } else if blocked {
+            let (way, angle) = (1000.0 * way, angle.to_degrees());
+            let detail =
+                format!("blocked {way:.1} mm and {angle:.1} degrees before the end of {}", call.operation);
+            self.halt(world, FaultKind::ProtectiveStop, detail);
         } else if let Some(error) = timed_out {
-            self.brake(world, |_| error.clone());
+            self.brake(world, |_| Err(error.clone()));
         }
     }
 
@@ -278,11 +333,11 @@ impl ArmCore {
     fn halt(&mut self, world: &mut World, kind: FaultKind, detail: String) {
         let error = self.halted(kind, &detail);
         self.halt = Some((kind, detail));
-        self.brake(world, |_| error.clone());
+        self.brake(world, |_| Err(error.clone()));
     }
 
-    /// Holds the wrist where it is; the caller of a motion that runs hears why, when the arm stands.
-    fn brake(&mut self, world: &mut World, why: impl Fn(&Call) -> DeviceError) {
+    /// Holds the wrist where it is; the caller of a motion that runs hears how it ended, when the arm stands.
+    fn brake(&mut self, world: &mut World, how: impl Fn(&Call) -> Result<Reached, DeviceError>) {
         if !matches!(self.phase, Phase::Moving(_)) {
             return;
         }
@@ -297,23 +352,23 @@ impl ArmCore {
         }
         let braking = Phase::Braking { since_s: world.time_s(), then: None };
         if let Phase::Moving(motion) = std::mem::replace(&mut self.phase, braking) {
-            let error = why(&motion.call);
+            let answer = how(&motion.call);
             if let Phase::Braking { then, .. } = &mut self.phase {
-                *then = Some((motion.call, motion.reply, error));
+                *then = Some((motion.call, motion.reply, answer));
             }
         }
     }
 
     /// Answers everybody, for the hand is gone.
-    fn answer(&mut self, result: &Result<(), DeviceError>) {
+    fn answer_all(&mut self, error: &DeviceError) {
         match std::mem::replace(&mut self.phase, Phase::Standing) {
             Phase::Moving(Motion { reply, .. }) | Phase::Braking { then: Some((_, reply, _)), .. } => {
-                let _unheard = reply.send(result.clone());
+                let _unheard = reply.send(Err(error.clone()));
             }
             Phase::Braking { then: None, .. } | Phase::Standing => {}
         }
         for (_, reply) in self.stops.drain(..) {
-            let _unheard = reply.send(result.clone());
+            let _unheard = reply.send(Err(error.clone()));
         }
     }
 

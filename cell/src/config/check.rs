@@ -95,6 +95,7 @@ impl CellConfig {
         inside("tray.floor_clearance_m", floor, (0.0..=0.05).contains(&floor), "0 to 0.05")?;
         positive("tray.height_m", t.height_m, t.volume_m)?;
         positive("motion.travel_height_m", self.motion.travel_height_m, 5.0)?;
+        positive("motion.contact_force_n", self.motion.contact_force_n, 1000.0)?;
         positive("motion.lift_m", self.motion.lift_m, 2.0)?;
         let over =
             (0..2).all(|i| (self.drop.position_m[i] - t.position_m[i]).abs() < t.volume_m / 2.0 - 0.02);

@@ -133,7 +133,7 @@ impl Default for HandConfig {
             id: "leap".to_owned(),
             adapter: "mock".to_owned(),
             speed: 0.5,
-            force: 0.5,
+            force: 0.7,
             settings: toml::Table::new(),
         }
     }

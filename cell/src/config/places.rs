@@ -105,6 +105,9 @@ impl Default for DropConfig {
 pub struct MotionConfig {
     /// Height above the tray's floor at which the hand's tool point travels, metres: above everything that stands.
     pub travel_height_m: f64,
+    /// Force on the hand at which the straight approach ends and the fingers close where they are, newtons; an arm that
+    /// feels no force goes on to the grasp.
+    pub contact_force_n: f64,
     /// How far a grasp is lifted before the hand is asked whether it still holds, metres.
     pub lift_m: f64,
     /// Where the tool point waits out of the camera's view; left out: the drop position.
@@ -114,6 +117,6 @@ pub struct MotionConfig {
 
 impl Default for MotionConfig {
     fn default() -> Self {
-        Self { travel_height_m: 0.32, lift_m: 0.15, wait_position_m: None }
+        Self { travel_height_m: 0.32, contact_force_n: 40.0, lift_m: 0.15, wait_position_m: None }
     }
 }

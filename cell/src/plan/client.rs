@@ -11,8 +11,8 @@ use nalgebra::{Unit, Vector3};
 use tokio::sync::Mutex;
 
 use super::{
-    Answer, EmptyReason, GraspPlanner, HandFacts, NoGrasp, PlannedGrasp, PlannerError, Question,
-    ReachingChoice,
+    ActuatorFacts, Answer, EmptyReason, GraspPlanner, HandFacts, NoGrasp, PlannedGrasp, PlannerError,
+    Question, ReachingChoice,
 };
 use crate::frame::{DEPTH_SCALE_M, Frame};
 use crate::pose::PoseRecord;
@@ -63,7 +63,16 @@ impl GraspPlanner for PlannerClient {
             approach,
             lateral: vector(hand.lateral_axis.as_ref(), "lateral_axis")?,
             tool_point: vector(hand.tool_point.as_ref(), "tool_point")?,
-            actuators: hand.actuators.iter().map(|a| (a.name.clone(), a.open_position)).collect(),
+            actuators: hand
+                .actuators
+                .iter()
+                .map(|a| ActuatorFacts {
+                    name: a.name.clone(),
+                    open: a.open_position,
+                    closed: a.closed_position,
+                })
+                .collect(),
+            fingers: hand.fingers.len(),
         })
     }
 

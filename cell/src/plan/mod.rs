@@ -54,8 +54,29 @@ pub struct HandFacts {
     pub lateral: nalgebra::Vector3<f64>,
     /// Point in the hand frame between the half-closed fingers, metres.
     pub tool_point: nalgebra::Vector3<f64>,
-    /// Its actuators: name and position with the hand open.
-    pub actuators: Vec<(String, f64)>,
+    /// Its actuators.
+    pub actuators: Vec<ActuatorFacts>,
+    /// Number of its fingers.
+    pub fingers: usize,
+}
+
+/// What a cell has to know of an actuator; radians or metres.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ActuatorFacts {
+    /// Name.
+    pub name: String,
+    /// Position with the hand open.
+    pub open: f64,
+    /// Position with the hand closed on nothing; that of `open` for one that does not close.
+    pub closed: f64,
+}
+
+impl HandFacts {
+    /// True when no finger has more than one motor that closes it. Such fingers close until they are held; fingers of
+    /// several motors would curl into themselves that way.
+    pub fn one_motor_a_finger(&self) -> bool {
+        self.actuators.iter().filter(|a| a.open != a.closed).count() <= self.fingers
+    }
 }
 
 /// Who plans grasps.

@@ -15,12 +15,12 @@ use crate::report::Report;
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// A file cannot be read or written.
-    #[error("{file}: {source}")]
+    #[error("{file}: {why}")]
     File {
         /// The file.
         file: String,
         /// Why.
-        source: std::io::Error,
+        why: String,
     },
     /// The folder holds something already.
     #[error("{folder}: found files in it, expected a new or an empty folder")]
@@ -155,7 +155,7 @@ pub fn read_frame(folder: &Path, attempt: u32) -> Result<Frame, RecordError> {
 }
 
 fn fault(path: &Path, source: std::io::Error) -> RecordError {
-    RecordError::File { file: path.display().to_string(), source }
+    RecordError::File { file: path.display().to_string(), why: source.to_string() }
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, RecordError> {

@@ -13,7 +13,9 @@ impl fmt::Display for Report {
         writeln!(f, "end             {}", self.end)?;
         writeln!(f, "success rate    {rate} ({} of n = {} grasp trials)", t.successes, t.trials)?;
         if let (Some(delivered), Some(lost), Some(left)) = (t.delivered, t.lost, t.in_tray) {
-            writeln!(f, "objects         {delivered} delivered, {lost} lost, {left} left in the tray")?;
+            let held =
+                t.in_hand.filter(|n| *n > 0).map_or_else(String::new, |n| format!(", {n} in the hand"));
+            writeln!(f, "objects         {delivered} delivered, {lost} lost, {left} left in the tray{held}")?;
         }
         writeln!(
             f,

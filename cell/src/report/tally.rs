@@ -27,12 +27,15 @@ pub struct Tally {
     pub unknown: u32,
     /// Failed trials since the last success.
     pub failures_in_a_row: u32,
-    /// Objects that a witness saw arrive, lie elsewhere, and lie in the tray at the end.
+    /// Objects that a witness saw arrive, lie elsewhere, lie in the tray at the end and be in the hand at the end.
     pub delivered: Option<u32>,
     /// See [`Tally::delivered`].
     pub lost: Option<u32>,
     /// See [`Tally::delivered`].
     pub in_tray: Option<u32>,
+    /// See [`Tally::delivered`].
+    #[serde(default)]
+    pub in_hand: Option<u32>,
     /// Planning time of each answer, as the server measured it, seconds.
     pub plan_s: Vec<f64>,
     /// Trouble met and mended.
@@ -53,6 +56,7 @@ impl Tally {
             *self.delivered.get_or_insert(0) += seen.delivered;
             *self.lost.get_or_insert(0) += seen.lost;
             self.in_tray = Some(seen.in_tray);
+            self.in_hand = Some(seen.in_hand);
         }
         match &record.outcome {
             Outcome::Success => {

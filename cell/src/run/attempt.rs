@@ -25,6 +25,10 @@ pub(super) struct Attempt {
     pub(super) steps: Vec<StepRecord>,
     /// The straight approach began.
     pub(super) trial: bool,
+    /// The hand met something on the straight approach.
+    pub(super) met: bool,
+    /// Where the fingers were told to go last, in the order of the grasp's actuators; `None`: not yet closed.
+    pub(super) told: Option<Vec<f64>>,
     /// The hand felt the object at the drop pose.
     pub(super) felt: bool,
     /// It has failed, and is being brought to an end.
@@ -46,6 +50,8 @@ impl Attempt {
             at: 0,
             steps: Vec::new(),
             trial: false,
+            met: false,
+            told: None,
             felt: false,
             failed: None,
             inside: false,

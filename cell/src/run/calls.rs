@@ -3,7 +3,7 @@
 use std::future::Future;
 use std::time::Duration;
 
-use graspd_adapters_core::{DeviceError, GripCommand, HandState, Limits};
+use graspd_adapters_core::{DeviceError, GripCommand, HandState, Limits, Reached};
 use nalgebra::Isometry3;
 
 use super::Run;
@@ -142,6 +142,14 @@ impl Run<'_> {
         self.within(Who::Arm, &arm.info().name, "move_linear", limit, call).await
     }
 
+    /// Straight to a pose, or until the hand meets something.
+    pub(super) async fn move_until_contact(&self, pose: &Isometry3<f64>) -> Result<Reached, Problem> {
+        let (arm, limit) = (&self.cell.arm, seconds(self.config.timeouts.move_s));
+        let force_n = self.config.motion.contact_force_n;
+        let call = arm.move_until_contact(pose, self.limits(Pace::Approach), force_n, limit);
+        self.within(Who::Arm, &arm.info().name, "move_until_contact", limit, call).await
+    }
+
     /// Straight up to the height of travel; as far as it goes where that is out of reach.
     pub(super) async fn raise(&self, pace: Pace) -> Result<(), Problem> {
         let (arm, limit) = (&self.cell.arm, seconds(self.config.timeouts.state_s));
@@ -193,13 +201,23 @@ impl Run<'_> {
 
     /// Moves the fingers where they may meet things: a hand that answers, and whose fingers only do not come to rest
     /// in time, has done what it could. What it holds is asked in another step.
-    pub(super) async fn grip_against(&self, names: &[String], positions: &[f64]) -> Result<(), Problem> {
-        let Err(problem) = self.grip(names, positions).await else { return Ok(()) };
-        if problem.trouble == Trouble::NoAnswer && self.hand_state().await.is_ok() {
-            tracing::info!(text = problem.text, "the hand answers; going on");
-            return Ok(());
+    pub(super) async fn grip_against(
+        &self,
+        names: &[String],
+        positions: &[f64],
+    ) -> Result<HandState, Problem> {
+        let problem = match self.grip(names, positions).await {
+            Ok(state) => return Ok(state),
+            Err(problem) if problem.trouble == Trouble::NoAnswer => problem,
+            Err(problem) => return Err(problem),
+        };
+        match self.hand_state().await {
+            Ok(state) => {
+                tracing::info!(text = problem.text, "the hand answers; going on");
+                Ok(state)
+            }
+            Err(_) => Err(problem),
         }
-        Err(problem)
     }
 
     async fn hand_state(&self) -> Result<HandState, Problem> {
@@ -217,7 +235,7 @@ impl Run<'_> {
     pub(super) fn open_posture(&self) -> (Vec<String>, Vec<f64>) {
         match self.attempt.grasp() {
             Some((_, grasp)) => (grasp.actuators.clone(), grasp.open.clone()),
-            None => self.facts.actuators.iter().cloned().unzip(),
+            None => self.facts.actuators.iter().map(|a| (a.name.clone(), a.open)).unzip(),
         }
     }
 
@@ -231,14 +249,13 @@ impl Run<'_> {
             return Ok(state.feels_object());
         }
         let Some((_, grasp)) = self.attempt.grasp() else { return Ok(false) };
+        let told = self.attempt.told.as_ref().unwrap_or(&grasp.squeezed);
         Ok(info.actuators.iter().zip(&state.actuators).any(|(name, &found)| {
             let at = grasp.actuators.iter().position(|n| n == name);
-            at.and_then(|i| Some((*grasp.open.get(i)?, *grasp.squeezed.get(i)?))).is_some_and(
-                |(open, squeezed)| {
-                    let way = (squeezed - open).abs();
-                    way > 1e-6 && (squeezed - found).abs() > HELD_SHARE * way
-                },
-            )
+            at.and_then(|i| Some((*grasp.open.get(i)?, *told.get(i)?))).is_some_and(|(open, told)| {
+                let way = (told - open).abs();
+                way > 1e-6 && (told - found).abs() > HELD_SHARE * way
+            })
         }))
     }
 

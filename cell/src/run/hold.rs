@@ -5,11 +5,53 @@ use super::{Next, Run};
 use crate::outcome::{Holding, Outcome};
 use crate::steps::{Step, Trouble};
 
+/// Fingers that have met too little close by one more squeeze, so often.
+const MORE_SQUEEZES: u32 = 8;
+/// Motors that must be held before a hand of several closing motors stops closing.
+const HELD_MOTORS: usize = 2;
+
 impl Run<'_> {
+    /// All fingers at once, until they are held (Supplementary Note 7). Where each has one motor they close as far as
+    /// they go with their limited force. Fingers of several motors go to the planned squeeze, and on from there, all
+    /// joints in proportion, while too little holds them.
     pub(super) async fn close(&mut self) -> Result<Next, Problem> {
         self.holding = Holding::Unknown;
-        let grasp = self.chosen()?;
-        self.grip_against(&grasp.actuators, &grasp.squeezed).await?;
+        let grasp = self.chosen()?.clone();
+        let closed = |name: &String| {
+            let facts = self.facts.actuators.iter().find(|a| a.name == *name && a.open != a.closed);
+            facts.map(|a| a.closed)
+        };
+        let limits: Vec<Option<f64>> = grasp.actuators.iter().map(closed).collect();
+        let mut told = grasp.squeezed.clone();
+        if self.facts.one_motor_a_finger() {
+            for (to, limit) in told.iter_mut().zip(&limits) {
+                *to = limit.unwrap_or(*to);
+            }
+        }
+        self.attempt.told = Some(told.clone());
+        let mut state = self.grip_against(&grasp.actuators, &told).await?;
+        for _ in 0..MORE_SQUEEZES {
+            let held = state.held.iter().filter(|h| **h).count();
+            if held >= HELD_MOTORS.min(state.held.len()) {
+                break;
+            }
+            let before = told.clone();
+            for (i, to) in told.iter_mut().enumerate() {
+                let (Some(contact), Some(squeezed)) = (grasp.contact.get(i), grasp.squeezed.get(i)) else {
+                    continue;
+                };
+                if let Some(limit) = limits.get(i).copied().flatten() {
+                    let next = *to + squeezed - contact;
+                    *to =
+                        if squeezed > contact { next.min(limit.max(*to)) } else { next.max(limit.min(*to)) };
+                }
+            }
+            if told == before {
+                break;
+            }
+            self.attempt.told = Some(told.clone());
+            state = self.grip_against(&grasp.actuators, &told).await?;
+        }
         Ok(Next::Go(Step::CheckContact))
     }
 

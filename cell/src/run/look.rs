@@ -10,6 +10,9 @@ use crate::outcome::{Holding, Outcome};
 use crate::plan::{Question, ReachingChoice};
 use crate::steps::{Step, Trouble};
 
+/// Most candidates that a planner accepts at once.
+const MOST_CANDIDATES: u32 = 4096;
+
 impl Run<'_> {
     /// Out of the camera's view. The first time over the dropping place, where the hand opens: whatever an earlier run
     /// left in it lands there, and a drop pose out of reach is found before anything is grasped.
@@ -84,7 +87,8 @@ impl Run<'_> {
             workspace: tray.workspace(),
             region: Some(tray.region()),
             estimator: planner.estimator.clone(),
-            batch: planner.batch,
+            // More candidates where there was no grasp: what is left may be hard to reach.
+            batch: planner.batch.saturating_mul(1 << (self.idle_attempts / 2).min(2)).min(MOST_CANDIDATES),
             scheme: planner.scheme,
             max_grasps: planner.max_grasps,
             min_score: planner.min_score,

@@ -20,7 +20,7 @@ use crate::outcome::{End, Holding, Outcome};
 use crate::plan::{GraspPlanner, HandFacts, PlannerError};
 use crate::pose::pointing_down;
 use crate::record::{RecordError, Recorder, RunInfo, StepRecord, TroubleRecord};
-use crate::recovery::recovery;
+use crate::recovery::{Recovery, recovery};
 use crate::report::{Report, Tally};
 use crate::steps::{Step, Trouble};
 use crate::witness::Witness;
@@ -84,7 +84,7 @@ pub async fn clear_tray(
 ) -> Result<Report, CellError> {
     config.check()?;
     let facts = facts(cell, config, observer).await?;
-    let expected: Vec<String> = facts.actuators.iter().map(|(name, _)| name.clone()).collect();
+    let expected: Vec<String> = facts.actuators.iter().map(|a| a.name.clone()).collect();
     let hand = cell.hand.info();
     let (mut a, mut b) = (hand.actuators.clone(), expected.clone());
     a.sort();
@@ -134,13 +134,21 @@ pub async fn clear_tray(
 }
 
 /// Asks the planner about the hand; waits for a planner that is starting.
-async fn facts(cell: &Cell, config: &CellConfig, observer: &dyn Observer) -> Result<HandFacts, PlannerError> {
+async fn facts(
+    cell: &Cell,
+    config: &CellConfig,
+    observer: &mut dyn Observer,
+) -> Result<HandFacts, PlannerError> {
     let limit = calls::seconds(config.timeouts.plan_s);
     let deadline = Instant::now() + limit;
     let mut before = 0;
     loop {
         match calls::answered(limit, cell.planner.hand(&config.hand.id, limit)).await {
-            Err(PlannerError::Away(_)) if Instant::now() < deadline && !observer.wants_end() => {
+            Err(PlannerError::Away(text)) if Instant::now() < deadline && !observer.wants_end() => {
+                if before == 0 {
+                    let (step, trouble, recovery) = (Step::Plan, Trouble::PlannerAway, Recovery::Wait);
+                    observer.on(&Event::Trouble { attempt: 1, step, trouble, text: &text, recovery });
+                }
                 tokio::time::sleep(config.recovery.backoff(before)).await;
                 before += 1;
             }

@@ -1,5 +1,7 @@
 //! From the chosen grasp to the hand among the objects.
 
+use graspd_adapters_core::Reached;
+
 use super::calls::{Pace, Problem, Who};
 use super::{Next, Run};
 use crate::plan::PlannedGrasp;
@@ -28,12 +30,12 @@ impl Run<'_> {
         Ok(Next::Go(Step::Approach))
     }
 
-    /// Straight to the grasp. From here on it is a grasp trial.
+    /// Straight to the grasp, or as far as nothing resists: the fingers close there, and what they hold decides. From here on it is a grasp trial.
     pub(super) async fn approach(&mut self) -> Result<Next, Problem> {
         let grasp = self.chosen()?.world_from_hand.isometry();
         self.attempt.trial = true;
         self.attempt.inside = true;
-        let moved = self.move_linear(&grasp, Pace::Approach).await;
+        let moved = self.move_until_contact(&grasp).await;
         if let Err(problem) = &moved
             && problem.trouble == Trouble::OutOfReach
         {
@@ -41,7 +43,7 @@ impl Run<'_> {
             self.attempt.trial = false;
             self.attempt.inside = false;
         }
-        moved?;
+        self.attempt.met = moved? == Reached::Contact;
         self.idle_attempts = 0;
         Ok(Next::Go(Step::Close))
     }

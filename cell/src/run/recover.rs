@@ -46,7 +46,7 @@ impl Run<'_> {
                 Next::Again
             }
             Recovery::Retreat => {
-                let class = failure_class(self.step, problem.trouble);
+                let class = self.failure_class(problem.trouble);
                 self.attempt.fail(class, &problem.text);
                 Next::Go(Step::Retreat)
             }
@@ -79,19 +79,22 @@ impl Run<'_> {
         if feels {
             return Next::Again;
         }
-        self.attempt.fail(failure_class(self.step, Trouble::NothingHeld), &problem.text);
+        self.attempt.fail(self.failure_class(Trouble::NothingHeld), &problem.text);
         // Over the tray the hand opens at once. On the way it opens at the drop pose: what it may hold after all, it
         // must not let go of anywhere else.
         if self.step == Step::Carry { Next::Again } else { Next::Go(Step::Retreat) }
     }
-}
 
-fn failure_class(step: Step, trouble: Trouble) -> FailureClass {
-    match (step, trouble) {
-        (Step::Approach, Trouble::Stop) => FailureClass::Collision,
-        (Step::CheckContact, Trouble::NothingHeld) => FailureClass::UnstableContact,
-        (Step::Lift | Step::CheckHeld, Trouble::NothingHeld) => FailureClass::LostLifting,
-        (Step::Carry | Step::CheckDelivered, Trouble::NothingHeld) => FailureClass::LostCarrying,
-        _ => FailureClass::Device,
+    /// What trouble in this step makes of the trial.
+    fn failure_class(&self, trouble: Trouble) -> FailureClass {
+        match (self.step, trouble) {
+            (Step::Approach | Step::Lift, Trouble::Stop) => FailureClass::Collision,
+            // Whatever was lost later: a hand that does not get where it should has collided (Fig. 8b, c).
+            (_, Trouble::NothingHeld) if self.attempt.met => FailureClass::Collision,
+            (Step::CheckContact, Trouble::NothingHeld) => FailureClass::UnstableContact,
+            (Step::Lift | Step::CheckHeld, Trouble::NothingHeld) => FailureClass::LostLifting,
+            (Step::Carry | Step::CheckDelivered, Trouble::NothingHeld) => FailureClass::LostCarrying,
+            _ => FailureClass::Device,
+        }
     }
 }

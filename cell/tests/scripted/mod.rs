@@ -14,7 +14,8 @@ use graspd_cell::config::CellConfig;
 use graspd_cell::frame::Frame;
 use graspd_cell::observer::{Event, Observer};
 use graspd_cell::plan::{
-    Answer, EmptyReason, GraspPlanner, HandFacts, NoGrasp, PlannedGrasp, PlannerError, Question,
+    ActuatorFacts, Answer, EmptyReason, GraspPlanner, HandFacts, NoGrasp, PlannedGrasp, PlannerError,
+    Question,
 };
 use graspd_cell::pose::{PoseRecord, pointing_down};
 use graspd_cell::steps::Step;
@@ -384,7 +385,10 @@ impl GraspPlanner for Shared {
             approach: Unit::new_unchecked(Vector3::z()),
             lateral: Vector3::x(),
             tool_point: Vector3::new(0.0, 0.0, 0.1),
-            actuators: vec![("finger".into(), 0.0), ("thumb".into(), 0.0)],
+            actuators: [("finger", 2.0), ("thumb", 1.0)]
+                .map(|(name, closed)| ActuatorFacts { name: name.into(), open: 0.0, closed })
+                .into(),
+            fingers: 2,
         })
     }
 

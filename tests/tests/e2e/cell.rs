@@ -64,8 +64,7 @@ async fn cell(endpoint: &str) -> (Cell, SharedWorld) {
     let arm_faults = Faults { motion: Some(stop), ..Faults::default() };
     let hand_faults = Faults { silent: Some(Spell::Calls(2)), ..Faults::default() };
     let mount = Mount::Fixed { world_from_camera: eye };
-    // Grasps that meet the tray are the planner's business; here the arm stops when the test says so.
-    let (lens, arm) = (Sensor::azure_kinect(), ArmSettings { stop_force_n: None, ..ArmSettings::default() });
+    let (lens, arm) = (Sensor::azure_kinect(), ArmSettings::default());
     let cell = Cell {
         camera: Arc::new(
             MockCamera::new(&shared, CameraSettings::default(), lens, mount, camera_faults).unwrap(),
@@ -101,14 +100,21 @@ async fn a_run_survives_faults_and_a_planner_that_is_restarted() {
     let report = report.unwrap();
     let census = shared.census().await.unwrap();
     assert_eq!(census.total(), OBJECTS, "an object is lost from the count: {census:?}");
-    // How many grasps hold is physics; that the run ends in order, and counts what arrived, is the cell's.
-    // An arm whose hand is wedged among objects may end it, and says so.
-    let in_order =
-        matches!(report.end, End::Empty | End::Failures { .. } | End::NoGrasp { .. } | End::ArmLost { .. });
-    assert!(in_order, "{report:?}");
+    // Which grasps hold is physics; that no device is given up, that the run ends in order, and that it counts what
+    // arrived, is the cell's.
+    match &report.end {
+        End::Empty => assert!(census.tray.is_empty(), "{census:?}"),
+        End::NoGrasp { .. } => assert!(!census.tray.is_empty(), "{census:?}"),
+        end => panic!("ended by {end}: {report:?}"),
+    }
     assert_eq!(report.holding, Holding::Nothing, "{report:?}");
-    assert!(!census.delivered.is_empty(), "{report:?}");
-    assert_eq!(report.tally.successes as usize, census.delivered.len(), "{report:?}");
+    assert!(census.held.is_empty() && census.elsewhere.is_empty(), "{census:?}");
+    assert!(census.delivered.len() >= 2, "{report:?}");
+    let tally = &report.tally;
+    assert_eq!(tally.successes as usize, census.delivered.len(), "{report:?}");
+    let failures: u32 = tally.failures.values().sum();
+    assert_eq!(tally.attempts, tally.successes + failures + tally.not_executed + tally.unknown, "{report:?}");
+    assert_eq!((tally.trials, tally.unknown), (tally.successes + failures, 0), "{report:?}");
     for trouble in [Trouble::PlannerAway, Trouble::NoAnswer, Trouble::Stop] {
         assert!(watcher.troubles.contains(&trouble), "{trouble:?} was not met: {:?}", watcher.troubles);
     }

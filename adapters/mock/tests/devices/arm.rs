@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use graspd_adapters_core::{Arm, ArmMode, DeviceError, FaultKind, Limits};
+use graspd_adapters_core::{Arm, ArmMode, DeviceError, FaultKind, Limits, Reached};
 use graspd_adapters_mock::{After, ArmSettings, Faults, MockArm, MotionFault, Spell, StopKind};
 
 use crate::fixtures::{LIMITS, SECOND, TEN, apart, arm, down, gripper, shared};
@@ -246,4 +246,43 @@ async fn refusals_silence_and_latency_reach_every_call() {
     assert!((shared.time_s() - before_s - 0.2).abs() < 0.004);
     let error = arm.state(SECOND / 10).await.unwrap_err();
     assert!(matches!(error, DeviceError::Timeout { .. }), "an answer that comes too late: {error}");
+}
+
+#[tokio::test]
+async fn a_guarded_motion_ends_where_it_meets_something() {
+    let shared = shared(0.0);
+    let arm = arm(&shared, Faults::default()).await;
+    let (above, inside) = (down(0.0, 0.12, 0.15), down(0.0, 0.12, 0.03));
+    arm.move_linear(&above, LIMITS, TEN).await.unwrap();
+    let slow = Limits { speed_m_s: 0.1, ..LIMITS };
+    assert_eq!(arm.move_until_contact(&inside, slow, 40.0, TEN).await.unwrap(), Reached::Contact);
+    let state = arm.state(SECOND).await.unwrap();
+    assert_eq!(state.mode, ArmMode::Ready, "that is no stop");
+    let z = state.world_from_flange.translation.z;
+    // The fingers reach 60 mm past the hand's frame, and one of them meets the wall of the tray, 30 mm high.
+    assert!((0.085..0.092).contains(&z), "{z}");
+    assert_eq!(arm.move_until_contact(&above, slow, 40.0, TEN).await.unwrap(), Reached::Goal);
+    let error = arm.move_until_contact(&inside, slow, 0.0, TEN).await.unwrap_err();
+    assert!(matches!(error, DeviceError::OutOfRange { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn a_blocked_motion_is_a_protective_stop_within_a_second_and_the_way_back_is_free() {
+    let shared = shared(0.0);
+    // An arm that feels no force: it only notices that it cannot follow its path.
+    let numb = ArmSettings { stop_force_n: None, ..ArmSettings::default() };
+    let arm = MockArm::new(&shared, gripper(&shared).await, numb, Faults::default()).unwrap();
+    let above = down(0.0, 0.12, 0.15);
+    arm.move_linear(&above, LIMITS, TEN).await.unwrap();
+    let began_s = shared.time_s();
+    let error = arm.move_linear(&down(0.0, 0.12, 0.0), LIMITS, 6 * TEN).await.unwrap_err();
+    assert_eq!(kind(&error), Some(FaultKind::ProtectiveStop), "{error}");
+    assert!(error.to_string().contains("blocked"), "{error}");
+    // Less than half a second to get there.
+    assert!(shared.time_s() - began_s < 1.5, "{}", shared.time_s() - began_s);
+    arm.clear_fault(SECOND).await.unwrap();
+    let began_s = shared.time_s();
+    arm.move_linear(&above, LIMITS, TEN).await.unwrap();
+    assert!(apart(&arm.state(SECOND).await.unwrap().world_from_flange, &above) < 1e-3);
+    assert!(shared.time_s() - began_s < 1.5);
 }

@@ -6,8 +6,11 @@ use std::time::Duration;
 
 use graspd_adapters_core::{Arm, DeviceError, FaultKind, GripCommand, Hand};
 use graspd_adapters_mock::{
-    ArmSettings, Faults, HandSettings, MockArm, MockHand, Overload, SharedWorld, Spell,
+    ArmSettings, Faults, HandSettings, MockArm, MockHand, Overload, SharedWorld, SharedWorldSettings, Spell,
 };
+use graspd_hands::CoordinateKind;
+use graspd_sim::object::Object;
+use graspd_sim::world::{Tray, World, WorldSettings};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::fixtures::{LIMITS, SECOND, TEN, arm, close, down, fingers, gripper, shared};
@@ -187,4 +190,76 @@ async fn fingers_that_are_pressed_against_something_still_come_to_an_end() {
     let began_s = shared.time_s();
     let state = hand.grip(&close(described.actuation.closed()[0]), TEN).await.unwrap();
     assert!(state.settled && shared.time_s() - began_s < 3.0);
+}
+
+/// A hand of the library, reaching down, its tool point at a height above the tray's middle.
+fn reaching(hand: &graspd_hands::Hand, tool_z: f64) -> Isometry3<f64> {
+    let turn = UnitQuaternion::rotation_between(&hand.approach, &-Vector3::z_axis());
+    let turn = turn.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
+    let at = Vector3::new(0.0, 0.0, tool_z) - turn * hand.tool_point.coords;
+    Isometry3::from_parts(at.into(), turn)
+}
+
+/// Closes a hand around a box (or nothing), lifts; what it felt when closed and when lifted, and what it holds by
+/// physics. `None` when fingers and box go round and round: the hand says so with a time-out.
+async fn close_and_lift(id: &str, object: Option<[f64; 3]>) -> Option<(bool, bool, usize)> {
+    let described = Arc::new(graspd_hands::library::hand(id).unwrap().clone());
+    let mut world = World::new(WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() });
+    if let Some(half) = object {
+        let cuboid = Object::cuboid("box", Vector3::from(half)).unwrap();
+        world.add(Arc::new(Object { mass_kg: 0.1, ..cuboid }), &Isometry3::translation(0.0, 0.0, half[2]));
+    }
+    let shared = SharedWorld::new(world, SharedWorldSettings::default()).unwrap();
+    let placed = shared.add_hand(described.clone(), reaching(&described, 0.06), None).await.unwrap();
+    let arm = MockArm::new(&shared, placed, ArmSettings::default(), Faults::default()).unwrap();
+    let hand = fingers(&shared, placed, Faults::default()).await;
+    let driven = described.actuation.coordinates.iter().filter(|c| c.kind == CoordinateKind::Actuator);
+    let actuators = driven.map(|c| c.closed).collect();
+    let closed = hand.grip(&GripCommand { actuators, speed: 1.0, force: 0.7 }, TEN).await;
+    let closed = match closed {
+        Err(DeviceError::Timeout { .. }) => return None,
+        closed => closed.unwrap(),
+    };
+    arm.move_linear(&reaching(&described, 0.2), LIMITS, TEN).await.unwrap();
+    let lifted = hand.state(SECOND).await.unwrap();
+    Some((closed.feels_object(), lifted.feels_object(), shared.held().await.unwrap().len()))
+}
+
+#[tokio::test]
+async fn every_hand_feels_what_it_holds_and_nothing_when_it_holds_nothing() {
+    let mut held: Vec<&str> = Vec::new();
+    for id in graspd_hands::library::ids() {
+        assert_eq!(close_and_lift(id, None).await, Some((false, false, 0)), "{id} closed on nothing");
+        let Some((closed, lifted, holds)) = close_and_lift(id, Some([0.07, 0.02, 0.045])).await else {
+            continue;
+        };
+        assert_eq!(lifted, holds > 0, "{id}: feels {lifted}, holds {holds}");
+        assert!(closed || holds == 0, "{id}");
+        held.extend((holds > 0).then_some(id));
+    }
+    assert!(held.len() >= 7, "only {held:?} hold the box");
+}
+
+#[tokio::test]
+async fn a_gripper_feels_what_is_thinner_than_its_tolerance() {
+    // Two per cent of this gripper's way are 1.2 mm; the sheet keeps each finger from 0.5 mm of it.
+    let shared = shared(0.0);
+    let arm = arm(&shared, Faults::default()).await;
+    let hand = fingers(&shared, arm.hand(), Faults::default()).await;
+    let sheet = Object::cuboid("sheet", Vector3::new(0.03, 0.0005, 0.03)).unwrap();
+    let sheet = Arc::new(Object { mass_kg: 0.02, ..sheet });
+    shared
+        .with(move |world| {
+            for id in world.ids() {
+                world.remove(id);
+            }
+            world.add(sheet, &Isometry3::translation(0.0, 0.0, 0.03));
+        })
+        .await
+        .unwrap();
+    arm.move_linear(&down(0.0, 0.0, 0.08), LIMITS, TEN).await.unwrap();
+    assert!(hand.grip(&close(0.06), TEN).await.unwrap().feels_object());
+    arm.move_linear(&down(0.0, 0.0, 0.25), LIMITS, TEN).await.unwrap();
+    assert!(hand.state(SECOND).await.unwrap().feels_object());
+    assert_eq!(shared.held().await.unwrap().len(), 1);
 }

@@ -209,6 +209,7 @@ impl Witness for SimulatedTruth {
             delivered: since(now.0, last.0),
             lost: since(now.1, last.1),
             in_tray: census.tray.len() as u32,
+            in_hand: census.held.len() as u32,
         };
         *last = now;
         witnessed

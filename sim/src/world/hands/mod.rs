@@ -195,10 +195,9 @@ impl World {
             Command::Move { world_from_hand: to, speed_m_s, turn_rad_s } => {
                 let numbers = to.translation.vector.iter().chain(to.rotation.coords.iter());
                 let finite = numbers.chain([&speed_m_s, &turn_rad_s]).all(|v| v.is_finite());
-                if finite {
-                    placed.wrist.go(&to, speed_m_s, turn_rad_s);
-                }
-                finite
+                let Some(at) = placed.root(&self.physics).filter(|_| finite) else { return false };
+                placed.wrist.go(&at, &to, speed_m_s, turn_rad_s);
+                true
             }
             Command::Close { actuators, force, speed } => {
                 placed.motors.command(&placed.hand, &actuators, force, speed)

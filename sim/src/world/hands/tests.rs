@@ -261,6 +261,16 @@ fn the_arm_presses_on_the_table_with_no_more_than_its_force() {
     assert!(!state.arrived && state.world_from_hand.translation.z > above(&hand, -0.02).translation.z);
     let most = world.settings().hands.arm_force_n;
     assert!(mean > 5.0 && mean < 1.1 * most, "presses with {mean} N");
+    // What blocks one motion does not block the next: to stay, and back.
+    let here = state.world_from_hand;
+    world.command(placed, Command::Move { world_from_hand: here, speed_m_s: 0.1, turn_rad_s: 1.0 });
+    run(&mut world, 0.3);
+    let pressed: f64 = world.hand_contacts(placed).iter().map(|c| c.force_n).sum();
+    assert!(pressed < 0.5 * mean, "told to stay it still presses with {pressed} N");
+    let back = above(&hand, 0.03);
+    world.command(placed, Command::Move { world_from_hand: back, speed_m_s: 0.1, turn_rad_s: 1.0 });
+    run(&mut world, 1.5);
+    assert!(world.hand_state(placed).unwrap().arrived);
 }
 
 #[test]

@@ -53,8 +53,12 @@ impl Wrist {
         }
     }
 
-    /// Moves from where the reference is to a pose.
-    pub(super) fn go(&mut self, to: &Isometry3<f64>, speed_m_s: f64, turn_rad_s: f64) {
+    /// Moves from where the reference is to a pose; from where the wrist is when something holds it back: a
+    /// reference that waits for the wrist would otherwise press on, and no new motion would ever begin.
+    pub(super) fn go(&mut self, at: &Isometry3<f64>, to: &Isometry3<f64>, speed_m_s: f64, turn_rad_s: f64) {
+        if self.lag(at) > LAG_M {
+            self.reference = *at;
+        }
         let (speed, turn) = (speed_m_s.clamp(1e-4, 5.0), turn_rad_s.clamp(1e-3, 20.0));
         let way = (to.translation.vector - self.reference.translation.vector).norm();
         let angle = self.reference.rotation.angle_to(&to.rotation);
@@ -101,14 +105,17 @@ impl Wrist {
         (lead(&now.0, linear + error_linear, most), lead(&now.1, angular + error_angular, most_angular))
     }
 
+    fn lag(&self, at: &Isometry3<f64>) -> f64 {
+        (self.reference.translation.vector - at.translation.vector).norm()
+    }
+
     fn advance(&mut self, at: &Isometry3<f64>, dt: f64) {
         if let Some(guided) = self.guided.take() {
             (self.reference, self.from, self.to) = (guided, guided, guided);
             (self.length, self.done, self.rate) = (0.0, 0.0, 0.0);
             return;
         }
-        let lag = (self.reference.translation.vector - at.translation.vector).norm();
-        if lag > LAG_M || self.done >= self.length {
+        if self.lag(at) > LAG_M || self.done >= self.length {
             self.rate = 0.0;
             return;
         }
