@@ -23,6 +23,8 @@ const CONTACT_VOXELS: f64 = 1.5;
 const ALIGNED: f64 = 0.2;
 /// Smallest force-closure margin.
 const LEAST_MARGIN: f64 = 0.005;
+/// The line between two fingers may leave their friction cones by this much, radians.
+const OPPOSED_SLACK_RAD: f64 = 0.2;
 /// Openings that are tried for the approach, from fully open (share of the way from contact to open).
 const OPENINGS: [f64; 4] = [1.0, 0.6, 0.35, 0.2];
 /// A coordinate within this share of its range from the open end is as open as it gets.
@@ -121,6 +123,9 @@ impl Judge<'_> {
         let arms: Vec<Push> =
             touches.iter().map(|t| Push { arm: t.point - center, inward: t.inward.into_inner() }).collect();
         let length = arms.iter().map(|p| p.arm.norm()).fold(0.01, f64::max);
+        if !opposed(model, &touches, self.options.friction) {
+            return Err(Rejection::new(R::NoForceClosure, 0.0));
+        }
         let epsilon = force_closure::margin(&arms, self.options.friction, length, &self.directions);
         if epsilon < LEAST_MARGIN {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
@@ -379,6 +384,26 @@ fn fingers_touching(model: &HandModel<'_>, touches: &[Touch]) -> usize {
     let fingers: std::collections::BTreeSet<usize> =
         touches.iter().map(|t| model.hand.pads[t.pad].finger).collect();
     fingers.len()
+}
+
+/// Two fingers hold by opposing each other (Nguyen's test, with some slack for pads that are areas): the line between
+/// their contacts must run inside both friction cones. More fingers hold in other ways too.
+fn opposed(model: &HandModel<'_>, touches: &[Touch], friction: f64) -> bool {
+    let fingers: std::collections::BTreeSet<usize> =
+        touches.iter().map(|t| model.hand.pads[t.pad].finger).collect();
+    let sides: Vec<(Vector3<f64>, Vector3<f64>)> = fingers
+        .iter()
+        .map(|finger| {
+            let own = |t: &Touch| model.hand.pads[t.pad].finger == *finger;
+            let inward: Vector3<f64> = touches.iter().filter(|t| own(t)).map(|t| t.inward.into_inner()).sum();
+            (mean_of(touches, own), inward)
+        })
+        .collect();
+    let [(a, into_a), (b, into_b)] = sides[..] else { return true };
+    let least = (friction.atan() + OPPOSED_SLACK_RAD).min(std::f64::consts::FRAC_PI_2).cos();
+    let along =
+        |line: Vector3<f64>, inward: Vector3<f64>| line.dot(&inward) >= least * line.norm() * inward.norm();
+    along(b - a, into_a) && along(a - b, into_b)
 }
 
 fn touching_bodies(model: &HandModel<'_>, touches: &[Touch]) -> Vec<bool> {
