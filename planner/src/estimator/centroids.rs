@@ -170,15 +170,15 @@ mod tests {
     fn an_object_without_a_peak_gets_a_small_one_and_a_ripple_none() {
         let grid = Grid { resolution: 40, size_m: 0.2 };
         let mut groups = vec![0u16; grid.len()];
-        for i in 0..grid.len() {
+        for (i, group) in groups.iter_mut().enumerate() {
             let [x, y, z] = grid.voxel(i);
             let within = |c: usize, low: usize, high: usize| (low..=high).contains(&c);
             if within(x, 8, 12) && within(y, 8, 12) && within(z, 8, 12) {
-                groups[i] = 1;
+                *group = 1;
             } else if within(x, 28, 32) && within(y, 20, 24) && within(z, 8, 11) {
-                groups[i] = 2;
+                *group = 2;
             } else if within(x, 5, 35) && within(y, 36, 38) && z == 8 {
-                groups[i] = 3;
+                *group = 3;
             }
         }
         let votes: Vec<f32> = (0..grid.len())
