@@ -12,6 +12,8 @@ pub(crate) const SCENE_TOLERANCE_VOXELS: f64 = 1.0;
 pub(crate) const TABLE_TOLERANCE_M: f64 = -0.001;
 /// Spheres of different fingers may overlap by this much, metres.
 pub(crate) const SELF_TOLERANCE_M: f64 = 0.003;
+/// On the way spheres may be this deep in the scene, voxels: nothing is meant to touch there.
+const APPROACH_TOLERANCE_VOXELS: f64 = 0.5;
 /// Distance between two checked poses of the approach, metres.
 const APPROACH_STEP_M: f64 = 0.008;
 
@@ -107,7 +109,7 @@ pub(crate) fn approach(
     moving.coordinates.copy_from_slice(open);
     let axis: Vector3<f64> = grasp.rotation * objective.model.approach;
     let steps = (back / APPROACH_STEP_M).ceil().max(1.0) as usize;
-    let tolerance = SCENE_TOLERANCE_VOXELS * objective.obstacles.grid.voxel_m();
+    let tolerance = APPROACH_TOLERANCE_VOXELS * objective.obstacles.grid.voxel_m();
     let mut met = Approach { depth: f64::NEG_INFINITY, room: f64::INFINITY };
     let mut look = |moving: &Configuration| {
         scratch.kinematics.forward(objective.model, moving);
