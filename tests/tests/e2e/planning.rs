@@ -160,9 +160,12 @@ async fn several_frames_and_a_placed_workspace_are_read_as_told() {
         }),
         ..SceneOptions::default()
     };
+    // In an occupancy volume what no camera saw is solid: the way in is the way the camera looked.
+    let options = PlanOptions { reaching: v1::Reaching::CameraRay.into(), ..PlanOptions::default() };
     let plan = PlanGraspsRequest {
         frames: vec![scene.frame(), scene.frame()],
         scene_options: Some(scene_options),
+        options: Some(options),
         ..request(GRIPPER)
     };
     let answer = client.plan_grasps(&plan).await.unwrap();
