@@ -160,7 +160,9 @@ pub fn replay(
     estimator: &dyn ContactEstimator,
     watch: &mut dyn FnMut(Moment, &World),
 ) -> Result<Replay, EvaluationError> {
-    again(trial, hand, estimator, trial.command.clone(), trial.attempt.figures.clone(), watch)
+    under(trial, hand, estimator, |conditions| {
+        again(trial, conditions, trial.command.clone(), trial.attempt.figures.clone(), watch)
+    })
 }
 
 /// Looks at the world of a failed trial again, with the same noise, plans as the planner plans today, and
@@ -174,40 +176,38 @@ pub fn plan_again(
     estimator: &dyn ContactEstimator,
     watch: &mut dyn FnMut(Moment, &World),
 ) -> Result<Replay, EvaluationError> {
+    under(trial, hand, estimator, |conditions| {
+        let (plan, _) = conditions.plan(&trial.world()?, trial.noise_seed, trial.plan_seed)?;
+        again(trial, conditions, plan.grasps.first().map(command), Figures::of(&plan, hand), watch)
+    })
+}
+
+/// Does something under the conditions of a trial.
+fn under<T>(
+    trial: &FailedTrial,
+    hand: &Arc<Hand>,
+    estimator: &dyn ContactEstimator,
+    what: impl FnOnce(&Conditions<'_>) -> Result<T, EvaluationError>,
+) -> Result<T, EvaluationError> {
     let station = Station::tray();
-    let (scene, search) = (station.scene_options(trial.volume()), trial.search());
-    let conditions = Conditions {
+    what(&Conditions {
         station: &station,
         hand,
         estimator,
-        scene: &scene,
-        search: &search,
+        scene: &station.scene_options(trial.volume()),
+        search: &trial.search(),
         execute: &trial.execute,
-    };
-    let (plan, _) = conditions.plan(&trial.world()?, trial.noise_seed, trial.plan_seed)?;
-    let figures = Figures::of(&plan, hand);
-    again(trial, hand, estimator, plan.grasps.first().map(command), figures, watch)
+    })
 }
 
 fn again(
     trial: &FailedTrial,
-    hand: &Arc<Hand>,
-    estimator: &dyn ContactEstimator,
+    conditions: &Conditions<'_>,
     command: Option<GraspCommand>,
     figures: Figures,
     watch: &mut dyn FnMut(Moment, &World),
 ) -> Result<Replay, EvaluationError> {
     let mut world = trial.world()?;
-    let station = Station::tray();
-    let (scene, search) = (station.scene_options(trial.volume()), trial.search());
-    let conditions = Conditions {
-        station: &station,
-        hand,
-        estimator,
-        scene: &scene,
-        search: &search,
-        execute: &trial.execute,
-    };
     let class = match &command {
         Some(command) => Class::of(&conditions.execute(&mut world, command, watch)),
         None => {
