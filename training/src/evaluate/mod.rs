@@ -47,10 +47,10 @@ pub enum EvaluationError {
     #[error("the planner cannot read the scene: {0}")]
     Scene(#[from] graspd_planner::scene::SceneError),
     /// A world's file cannot be read.
-    #[error("the world cannot be read: {0}")]
+    #[error("the world cannot be read")]
     World(#[from] graspd_sim::scene::SceneError),
     /// A trial's file cannot be read.
-    #[error("the trial cannot be read: {0}")]
+    #[error("the trial cannot be read")]
     Trial(#[from] serde_json::Error),
     /// The system gives no threads.
     #[error("no threads: {0}")]
