@@ -44,7 +44,7 @@ pub enum EvaluationError {
         expected: String,
     },
     /// The planner cannot read the scene.
-    #[error("the planner cannot read the scene: {0}")]
+    #[error("the planner cannot read the scene")]
     Scene(#[from] graspd_planner::scene::SceneError),
     /// A world's file cannot be read.
     #[error("the world cannot be read")]
@@ -53,6 +53,6 @@ pub enum EvaluationError {
     #[error("the trial cannot be read")]
     Trial(#[from] serde_json::Error),
     /// The system gives no threads.
-    #[error("no threads: {0}")]
+    #[error("no threads")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
