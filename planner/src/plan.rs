@@ -152,6 +152,7 @@ fn obstacles<'a>(
     Obstacles {
         grid: scene.features.grid,
         distance: &scene.features.scene_distance_m,
+        objects: &scene.objects,
         table_m: scene.features.table_m,
         boxes: options
             .keep_out

@@ -12,6 +12,8 @@ pub(crate) struct Obstacles<'a> {
     pub(crate) grid: Grid,
     /// Signed distance at voxel centres, metres.
     pub(crate) distance: &'a [f32],
+    /// Group of each voxel of an object; 0: none.
+    pub(crate) objects: &'a [u16],
     /// Height of the table top.
     pub(crate) table_m: Option<f64>,
     /// Boxes: pose in the volume and half extents.
@@ -59,6 +61,28 @@ impl Obstacles<'_> {
             gradient += outside / away;
         }
         (value, gradient)
+    }
+
+    /// The object behind a surface point: the first group that is met on the way in, within two voxels; 0 where
+    /// there is none. The noise of a table's surface is solid but no object.
+    pub(crate) fn object_behind(&self, surface: &Vector3<f64>, inward: &Vector3<f64>) -> u16 {
+        let met = |i: usize| (self.objects[i] > 0).then_some(self.objects[i]);
+        self.behind(surface, inward, met).unwrap_or(0)
+    }
+
+    /// The first answer that a voxel on the way in from a surface point gives, within two voxels.
+    pub(crate) fn behind<T>(
+        &self,
+        surface: &Vector3<f64>,
+        inward: &Vector3<f64>,
+        ask: impl Fn(usize) -> Option<T>,
+    ) -> Option<T> {
+        let voxel_m = self.grid.voxel_m();
+        let within = |p: &Vector3<f64>| p.iter().all(|&v| (0.0..self.grid.size_m).contains(&v));
+        (0..5).map(|k| surface + inward * (f64::from(k) * 0.5 * voxel_m)).filter(within).find_map(|p| {
+            let [x, y, z] = [p.x, p.y, p.z].map(|v| ((v / voxel_m) as usize).min(self.grid.resolution - 1));
+            ask(self.grid.index(x, y, z))
+        })
     }
 
     /// Signed distance of a point to a keep-out box and its gradient.

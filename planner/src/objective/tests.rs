@@ -73,6 +73,7 @@ fn gradient_error(seed: u64, select: impl Fn(&mut Weights)) -> f64 {
         obstacles: Obstacles {
             grid: GRID,
             distance: &distance,
+            objects: &[],
             table_m: Some(0.2),
             boxes: vec![(box_pose, Vector3::new(0.03, 0.02, 0.04))],
         },

@@ -115,7 +115,8 @@ fn followers(actuation: &Actuation, actuator: usize) -> Vec<(usize, f64)> {
 
 /// What closing feels: the gaps of the fingers' pads, and the room of the moved parts.
 struct Feel {
-    /// Smallest signed distance of each finger's candidates to the scene, metres.
+    /// Smallest signed distance of each finger's candidates to the scene, metres; what is no object is never
+    /// touched.
     gaps: Vec<f64>,
     /// How much deeper than allowed the moved parts are in scene, table or each other, metres; negative is room.
     over: f64,
@@ -268,7 +269,12 @@ fn feel(
             let mut normal = Vector3::zeros();
             for &i in candidates {
                 let p = &objective.model.points[i];
-                let gap = objective.obstacles.scene(&kinematics.point(p.body, &p.point)).0;
+                let point = kinematics.point(p.body, &p.point);
+                let (mut gap, slope) = objective.obstacles.scene(&point);
+                over = over.max(-gap - deepest);
+                if gap <= TOUCH_M && !is_object(objective, &point, gap, &slope) {
+                    gap = 2.0 * TOUCH_M;
+                }
                 if gap < least {
                     least = gap;
                     normal = kinematics.direction(p.body, &p.normal);
@@ -277,7 +283,6 @@ fn feel(
             if least <= TOUCH_M {
                 touching += normal;
             }
-            over = over.max(-least - deepest);
             least
         })
         .collect();
@@ -303,6 +308,14 @@ fn feel(
         over = over.max(radius_a + radius_b - (a - b).norm() - OVERLAP_M);
     }
     Feel { gaps, over, touching, on_table: in_table >= over }
+}
+
+/// True when the surface next to a point is an object's.
+fn is_object(objective: &Objective<'_>, point: &Vector3<f64>, gap: f64, slope: &Vector3<f64>) -> bool {
+    slope.try_normalize(1e-3).is_some_and(|away| {
+        let surface = point - away * gap;
+        objective.obstacles.object_behind(&surface, &-away) > 0
+    })
 }
 
 /// Coordinates opened by `share` of the way from contact to the open posture; coordinates that do not

@@ -173,15 +173,16 @@ impl Judge<'_> {
                 // Where the pad will press: the surface point nearest to the candidate.
                 let certainty = look.certainty();
                 let point = contacts.point[i] - away * gap;
-                let object = self.object_behind(&point, &inward);
+                let object = self.objective.obstacles.object_behind(&point, &inward);
                 Some(Touch { point, object, inward, pad: candidate.pad, body: candidate.body, certainty })
             })
             .collect()
     }
 
     /// Of touches on several objects those on the one that most candidates touch: a grasp holds one object, and a
-    /// finger on its neighbour holds nothing.
+    /// finger on its neighbour, or on the noise of the table's surface, holds nothing.
     fn of_one_object(&self, mut touches: Vec<Touch>) -> Vec<Touch> {
+        touches.retain(|t| t.object > 0);
         let mut counts = BTreeMap::new();
         for t in &touches {
             *counts.entry(t.object).or_insert(0usize) += 1;
@@ -190,28 +191,6 @@ impl Judge<'_> {
         let most = counts.iter().max_by(|a, b| a.1.cmp(b.1).then(b.0.cmp(a.0))).map(|(o, _)| *o);
         touches.retain(|t| Some(t.object) == most);
         touches
-    }
-
-    /// The object behind a surface point: the first group met on the way in; 0 where there is none.
-    fn object_behind(&self, surface: &Vector3<f64>, inward: &Vector3<f64>) -> u16 {
-        let objects = &self.scene.objects;
-        self.behind(surface, inward, |i| (objects[i] > 0).then_some(objects[i])).unwrap_or(0)
-    }
-
-    /// The first answer that a voxel on the way in from a surface point gives, within two voxels.
-    fn behind<T>(
-        &self,
-        surface: &Vector3<f64>,
-        inward: &Vector3<f64>,
-        ask: impl Fn(usize) -> Option<T>,
-    ) -> Option<T> {
-        let grid = self.scene.workspace.grid;
-        let voxel_m = grid.voxel_m();
-        let within = |p: &Vector3<f64>| p.iter().all(|&v| (0.0..grid.size_m).contains(&v));
-        (0..5).map(|k| surface + inward * (f64::from(k) * 0.5 * voxel_m)).filter(within).find_map(|p| {
-            let [x, y, z] = [p.x, p.y, p.z].map(|v| ((v / voxel_m) as usize).min(grid.resolution - 1));
-            ask(grid.index(x, y, z))
-        })
     }
 
     /// The centred centroid nearest to the middle of the contacts, of all that the scene has, volume frame.
@@ -227,7 +206,10 @@ impl Judge<'_> {
         let labels = self.scene.volume.voxel_labels()?;
         let mut counts = BTreeMap::new();
         for t in touches {
-            let behind = self.behind(&t.point, &t.inward, |i| (labels[i] > 0).then_some(labels[i]));
+            let behind = self
+                .objective
+                .obstacles
+                .behind(&t.point, &t.inward, |i| (labels[i] > 0).then_some(labels[i]));
             if let Some(label) = behind {
                 *counts.entry(label).or_insert(0usize) += 1;
             }

@@ -197,7 +197,8 @@ impl Conditions<'_> {
         let frame = self.station.frame(world, noise_seed);
         let watch = Stopwatch::start();
         let scene = scene::prepare(&[frame], self.scene, self.estimator, &watch)?;
-        let options = PlanOptions { seed: plan_seed, ..self.search.clone() };
+        let options =
+            PlanOptions { seed: plan_seed, keep_out: self.station.keep_out(), ..self.search.clone() };
         let plan = plan::plan(&scene, self.hand, &options, &watch, None);
         Ok((plan, watch.elapsed().as_secs_f64() * 1e3))
     }

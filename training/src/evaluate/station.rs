@@ -2,16 +2,18 @@
 //! (Supplementary Note 7).
 
 use graspd_planner::frame::{DepthImage, Frame, Intrinsics};
-use graspd_planner::options::{Region, SceneOptions, VolumeKind, WorkspaceRequest};
+use graspd_planner::options::{KeepOut, Region, SceneOptions, VolumeKind, WorkspaceRequest};
 use graspd_planner::workspace::TABLE_HEIGHT_M;
 use graspd_sim::camera::look_at;
 use graspd_sim::render::capture;
 use graspd_sim::sensor::Sensor;
 use graspd_sim::world::{Tray, World, WorldSettings};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 /// Depth noise smears walls by about this much, metres.
 const WALL_NOISE_M: f64 = 0.008;
+/// Hands keep this far from the walls, metres.
+const WALL_MARGIN_M: f64 = 0.002;
 /// Nothing in a tray reaches higher, metres.
 const HIGHEST_M: f64 = 0.3;
 
@@ -80,6 +82,18 @@ impl Station {
         let world_from_volume = Isometry3::translation(-half, -half, -TABLE_HEIGHT_M);
         let workspace = WorkspaceRequest::Placed { world_from_volume, table_m: None };
         SceneOptions { workspace, region: self.world.tray.as_ref().map(inside), ..options }
+    }
+
+    /// Boxes around the tray's walls, in which no part of a hand may be: walls this thin drown in the noise of their
+    /// edges, so that a frame shows them with gaps.
+    pub fn keep_out(&self) -> Vec<KeepOut> {
+        let margin = Vector3::new(WALL_MARGIN_M, WALL_MARGIN_M, WALL_MARGIN_M);
+        let walls = self.world.tray.as_ref().map(Tray::walls).into_iter().flatten();
+        let around = |(center, half): (Vector3<f64>, Vector3<f64>)| KeepOut {
+            world_from_box: Isometry3::from_parts(center.into(), UnitQuaternion::identity()),
+            half_extents_m: half + margin,
+        };
+        walls.map(around).collect()
     }
 
     /// True when a point lies over the tray's floor (over the table's middle, without a tray), not more than
