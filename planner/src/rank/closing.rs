@@ -7,6 +7,7 @@
 use graspd_hands::{Actuation, CoordinateKind, SoftCoupling};
 use nalgebra::Vector3;
 
+use super::regrip;
 use crate::configuration::Configuration;
 use crate::hand_model::HandModel;
 use crate::objective::{Objective, Scratch};
@@ -34,6 +35,16 @@ const TABLE_ROOM_M: f64 = 0.003;
 const DRAW_STEP_M: f64 = 0.005;
 /// The hand is drawn back at most this far, metres.
 const DRAW_M: f64 = 0.05;
+/// Fingers that close together go at most this far in a round, metres.
+const PACE_M: f64 = 0.003;
+/// A finger that the scene stops touches with its pad when that is so near to it, voxels.
+const CONTACT_VOXELS: f64 = 1.5;
+/// The hand follows its fingers down while its spheres are no deeper in the scene than this, voxels.
+const FREE_VOXELS: f64 = 0.5;
+/// Rounds of closing together.
+const ROUNDS: usize = 120;
+/// Where the hand gives way to the table it gives so much more, metres.
+const SLACK_M: f64 = 0.0005;
 /// How far beyond contact the squeeze command goes, metres of fingertip motion.
 const SQUEEZE_M: f64 = 0.010;
 
@@ -51,6 +62,23 @@ struct Closer {
     pairs: Vec<(usize, usize)>,
     /// Adaptive coordinates that its mechanism moves along until something stops them, and how far.
     followers: Vec<(usize, f64)>,
+}
+
+impl Closer {
+    /// Closes by so many metres of fingertip motion; negative opens. False at the end of the range.
+    fn move_by(&self, model: &HandModel<'_>, configuration: &mut Configuration, metres: f64) -> bool {
+        let c = self.coordinate;
+        let coordinates = &model.hand.actuation.coordinates;
+        let per_metre = model.step_scale[c] * self.sign;
+        let before = configuration.coordinates[c];
+        let next = (before + metres * per_metre).clamp(coordinates[c].lower, coordinates[c].upper);
+        configuration.coordinates[c] = next;
+        for &(i, ratio) in &self.followers {
+            let along = configuration.coordinates[i] + ratio * (next - before);
+            configuration.coordinates[i] = along.clamp(coordinates[i].lower, coordinates[i].upper);
+        }
+        next != before
+    }
 }
 
 fn closers(model: &HandModel<'_>) -> Vec<Closer> {
@@ -121,6 +149,10 @@ struct Feel {
     over: f64,
     /// Mean outward normal of the pads that touch, volume frame.
     touching: Vector3<f64>,
+    /// Outward normals of the candidates nearest to the scene, by finger, added up, volume frame.
+    nearest: Vector3<f64>,
+    /// True when it is the scene that the moved parts are deepest in.
+    in_scene: bool,
     /// True when it is the table that the moved parts are deepest in.
     on_table: bool,
 }
@@ -171,6 +203,11 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
     if let Some((_, best)) = best {
         configuration.copy_from(&best);
     }
+    if regrip::hold(objective, configuration, scratch) == 0.0 {
+        regrip::regrip(objective, &start, configuration, scratch, &mut |at, ahead, scratch| {
+            close_together(objective, &closers, at, ahead, scratch);
+        });
+    }
 }
 
 /// What one closing came to.
@@ -196,19 +233,8 @@ fn close_once(
     let may_shift = all.len() == 1 && all[0].fingers.len() > 1;
     let mut closed = Closed { touching: 0, stopped_by_table: false };
     for closer in all {
-        let c = closer.coordinate;
-        let coordinates = &model.hand.actuation.coordinates;
-        let per_metre = model.step_scale[c] * closer.sign;
-        let move_by = |configuration: &mut Configuration, metres: f64| {
-            let before = configuration.coordinates[c];
-            let next = (before + metres * per_metre).clamp(coordinates[c].lower, coordinates[c].upper);
-            configuration.coordinates[c] = next;
-            for &(i, ratio) in &closer.followers {
-                let along = configuration.coordinates[i] + ratio * (next - before);
-                configuration.coordinates[i] = along.clamp(coordinates[i].lower, coordinates[i].upper);
-            }
-            next != before
-        };
+        let move_by =
+            |configuration: &mut Configuration, metres: f64| closer.move_by(model, configuration, metres);
         let start = configuration.clone();
         let mut feel = feel(objective, configuration, closer, scratch);
         let mut opened = 0.0;
@@ -248,6 +274,102 @@ fn close_once(
     closed
 }
 
+/// Closes all fingers at the same pace until each touches; the hand gives way to the table along its approach, and
+/// sideways to fingers that touch before others do. Returns how many touch.
+fn close_together(
+    objective: &Objective<'_>,
+    all: &[Closer],
+    configuration: &mut Configuration,
+    ahead: f64,
+    scratch: &mut Scratch,
+) -> usize {
+    let model = objective.model;
+    let approach = configuration.rotation * model.approach;
+    let near = CONTACT_VOXELS * objective.obstacles.grid.voxel_m();
+    let (mut drawn, mut shifted) = (0.0, 0.0);
+    let mut ahead = ahead;
+    let mut before = configuration.clone();
+    let mut touching = 0;
+    for _ in 0..ROUNDS {
+        touching = 0;
+        let mut moved = false;
+        let mut towards = Vector3::zeros();
+        for closer in all {
+            let now = feel(objective, configuration, closer, scratch);
+            let touch = now.gaps.iter().filter(|&&g| g <= TOUCH_M).count();
+            if now.all_touch() {
+                touching += touch;
+                towards += now.touching;
+                continue;
+            }
+            before.copy_from(configuration);
+            if !now.is_too_deep() && !closer.move_by(model, configuration, now.safe_step().min(PACE_M)) {
+                touching += touch;
+                continue;
+            }
+            let next = feel(objective, configuration, closer, scratch);
+            if !next.is_too_deep() {
+                moved = true;
+            } else if next.on_table && drawn < DRAW_M {
+                let step = next.over + SLACK_M;
+                configuration.translation -= approach * step;
+                drawn += step;
+                moved = true;
+            } else {
+                configuration.copy_from(&before);
+                let close = now.gaps.iter().filter(|&&g| g <= near).count();
+                if close > 0 && next.in_scene {
+                    touching += close;
+                    towards += now.nearest;
+                }
+            }
+        }
+        // Those that touch wait, and the hand goes their way until the others touch too.
+        let sideways = towards - approach * approach.dot(&towards);
+        if shifted < SHIFT_M
+            && let Some(way) = sideways.try_normalize(0.3)
+        {
+            before.copy_from(configuration);
+            configuration.translation -= way * STEP_M;
+            let free = |closer: &Closer, scratch: &mut Scratch| {
+                !feel(objective, configuration, closer, scratch).is_too_deep()
+            };
+            if all.iter().all(|c| free(c, scratch)) {
+                shifted += STEP_M;
+                moved = true;
+            } else {
+                configuration.copy_from(&before);
+            }
+        }
+        // Fingers that curl on lie higher again: the hand follows them down.
+        if ahead > 0.0 {
+            before.copy_from(configuration);
+            configuration.translation += approach * STEP_M;
+            if is_free(objective, configuration, scratch) {
+                ahead -= STEP_M;
+                moved = true;
+            } else {
+                configuration.copy_from(&before);
+            }
+        }
+        if !moved {
+            break;
+        }
+    }
+    touching
+}
+
+/// True when no part of the hand is too deep in the scene or too near to the table.
+fn is_free(objective: &Objective<'_>, configuration: &Configuration, scratch: &mut Scratch) -> bool {
+    scratch.kinematics.forward(objective.model, configuration);
+    objective.place_spheres(scratch);
+    let deepest = FREE_VOXELS * objective.obstacles.grid.voxel_m();
+    objective.model.spheres.iter().zip(&scratch.centers).all(|(s, center)| {
+        let over_table = objective.obstacles.table_m.is_none_or(|t| center.z - s.radius >= t + TABLE_ROOM_M);
+        over_table && s.radius - objective.obstacles.scene(center).0 <= deepest
+    })
+}
+
 fn feel(
     objective: &Objective<'_>,
     configuration: &Configuration,
@@ -258,8 +380,10 @@ fn feel(
     let kinematics = &scratch.kinematics;
     let deepest = DEEPEST_VOXELS * objective.obstacles.grid.voxel_m();
     let mut touching = Vector3::zeros();
+    let mut nearest = Vector3::zeros();
     let mut over = f64::NEG_INFINITY;
     let mut in_table = f64::NEG_INFINITY;
+    let mut most_in_scene = f64::NEG_INFINITY;
     let gaps: Vec<f64> = closer
         .fingers
         .iter()
@@ -274,6 +398,7 @@ fn feel(
                     normal = kinematics.direction(p.body, &p.normal);
                 }
             }
+            nearest += normal;
             if least <= TOUCH_M {
                 touching += normal;
             }
@@ -289,6 +414,7 @@ fn feel(
         let (center, radius) = center(i);
         let in_scene = radius - objective.obstacles.scene(&center).0 - deepest;
         over = over.max(in_scene);
+        most_in_scene = most_in_scene.max(in_scene);
         if let Some(table) = objective.obstacles.table_m {
             let into = radius - (center.z - table) + TABLE_ROOM_M;
             over = over.max(into);
@@ -302,7 +428,7 @@ fn feel(
         let ((a, radius_a), (b, radius_b)) = (center(a), center(b));
         over = over.max(radius_a + radius_b - (a - b).norm() - OVERLAP_M);
     }
-    Feel { gaps, over, touching, on_table: in_table >= over }
+    Feel { gaps, over, touching, nearest, in_scene: most_in_scene >= over, on_table: in_table >= over }
 }
 
 /// Coordinates opened by `share` of the way from contact to the open posture; coordinates that do not
