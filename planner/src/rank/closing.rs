@@ -13,7 +13,7 @@ use crate::hand_model::HandModel;
 use crate::objective::{Objective, Scratch};
 
 /// Fingertip motion of the smallest closing step, metres.
-const STEP_M: f64 = 0.001;
+pub(super) const STEP_M: f64 = 0.001;
 /// Larger steps go this share of the way to the nearest thing.
 const SHARE_OF_ROOM: f64 = 0.7;
 /// No step is longer than this, metres.
@@ -28,29 +28,19 @@ const DEEPEST_VOXELS: f64 = 0.8;
 /// Fingers close at most this far to find a surface, metres of fingertip motion.
 const TRAVEL_M: f64 = 0.25;
 /// A hand with one motor is shifted at most this far so that its fingers touch together, metres.
-const SHIFT_M: f64 = 0.02;
+pub(super) const SHIFT_M: f64 = 0.02;
 /// Fingers close no nearer to the table than this, metres: a depth camera knows the table's height no better.
-const TABLE_ROOM_M: f64 = 0.003;
+pub(super) const TABLE_ROOM_M: f64 = 0.003;
 /// The hand is drawn back by this much at a time where the table stops its fingers, metres.
 const DRAW_STEP_M: f64 = 0.005;
 /// The hand is drawn back at most this far, metres.
-const DRAW_M: f64 = 0.05;
-/// Fingers that close together go at most this far in a round, metres.
-const PACE_M: f64 = 0.003;
-/// A finger that the scene stops touches with its pad when that is so near to it, voxels.
-const CONTACT_VOXELS: f64 = 1.5;
-/// The hand follows its fingers down while its spheres are no deeper in the scene than this, voxels.
-const FREE_VOXELS: f64 = 0.5;
-/// Rounds of closing together.
-const ROUNDS: usize = 120;
-/// Where the hand gives way to the table it gives so much more, metres.
-const SLACK_M: f64 = 0.0005;
+pub(super) const DRAW_M: f64 = 0.05;
 /// How far beyond contact the squeeze command goes, metres of fingertip motion.
 const SQUEEZE_M: f64 = 0.010;
 
 /// One coordinate that closes, and the fingers that it moves.
 #[derive(Debug)]
-struct Closer {
+pub(super) struct Closer {
     coordinate: usize,
     /// +1 or −1: the direction of closing.
     sign: f64,
@@ -66,7 +56,12 @@ struct Closer {
 
 impl Closer {
     /// Closes by so many metres of fingertip motion; negative opens. False at the end of the range.
-    fn move_by(&self, model: &HandModel<'_>, configuration: &mut Configuration, metres: f64) -> bool {
+    pub(super) fn move_by(
+        &self,
+        model: &HandModel<'_>,
+        configuration: &mut Configuration,
+        metres: f64,
+    ) -> bool {
         let c = self.coordinate;
         let coordinates = &model.hand.actuation.coordinates;
         let per_metre = model.step_scale[c] * self.sign;
@@ -142,27 +137,27 @@ fn followers(actuation: &Actuation, actuator: usize) -> Vec<(usize, f64)> {
 }
 
 /// What closing feels: the gaps of the fingers' pads, and the room of the moved parts.
-struct Feel {
+pub(super) struct Feel {
     /// Smallest signed distance of each finger's candidates to the scene, metres.
-    gaps: Vec<f64>,
+    pub(super) gaps: Vec<f64>,
     /// How much deeper than allowed the moved parts are in scene, table or each other, metres; negative is room.
-    over: f64,
+    pub(super) over: f64,
     /// Mean outward normal of the pads that touch, volume frame.
-    touching: Vector3<f64>,
+    pub(super) touching: Vector3<f64>,
     /// Outward normals of the candidates nearest to the scene, by finger, added up, volume frame.
-    nearest: Vector3<f64>,
+    pub(super) nearest: Vector3<f64>,
     /// True when it is the scene that the moved parts are deepest in.
-    in_scene: bool,
+    pub(super) in_scene: bool,
     /// True when it is the table that the moved parts are deepest in.
-    on_table: bool,
+    pub(super) on_table: bool,
 }
 
 impl Feel {
-    fn is_too_deep(&self) -> bool {
+    pub(super) fn is_too_deep(&self) -> bool {
         self.over > 0.0
     }
 
-    fn all_touch(&self) -> bool {
+    pub(super) fn all_touch(&self) -> bool {
         self.gaps.iter().all(|&g| g <= TOUCH_M)
     }
 
@@ -171,7 +166,7 @@ impl Feel {
     }
 
     /// A step that cannot jump through anything: nothing that moves is nearer than this.
-    fn safe_step(&self) -> f64 {
+    pub(super) fn safe_step(&self) -> f64 {
         let nearest = self.gaps.iter().copied().fold(-self.over, f64::min);
         (SHARE_OF_ROOM * nearest).clamp(STEP_M, LARGEST_STEP_M)
     }
@@ -204,9 +199,7 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
         configuration.copy_from(&best);
     }
     if regrip::hold(objective, configuration, scratch) == 0.0 {
-        regrip::regrip(objective, &start, configuration, scratch, &mut |at, ahead, scratch| {
-            close_together(objective, &closers, at, ahead, scratch);
-        });
+        regrip::regrip(objective, &closers, &start, configuration, scratch);
     }
 }
 
@@ -274,103 +267,7 @@ fn close_once(
     closed
 }
 
-/// Closes all fingers at the same pace until each touches; the hand gives way to the table along its approach, and
-/// sideways to fingers that touch before others do. Returns how many touch.
-fn close_together(
-    objective: &Objective<'_>,
-    all: &[Closer],
-    configuration: &mut Configuration,
-    ahead: f64,
-    scratch: &mut Scratch,
-) -> usize {
-    let model = objective.model;
-    let approach = configuration.rotation * model.approach;
-    let near = CONTACT_VOXELS * objective.obstacles.grid.voxel_m();
-    let (mut drawn, mut shifted) = (0.0, 0.0);
-    let mut ahead = ahead;
-    let mut before = configuration.clone();
-    let mut touching = 0;
-    for _ in 0..ROUNDS {
-        touching = 0;
-        let mut moved = false;
-        let mut towards = Vector3::zeros();
-        for closer in all {
-            let now = feel(objective, configuration, closer, scratch);
-            let touch = now.gaps.iter().filter(|&&g| g <= TOUCH_M).count();
-            if now.all_touch() {
-                touching += touch;
-                towards += now.touching;
-                continue;
-            }
-            before.copy_from(configuration);
-            if !now.is_too_deep() && !closer.move_by(model, configuration, now.safe_step().min(PACE_M)) {
-                touching += touch;
-                continue;
-            }
-            let next = feel(objective, configuration, closer, scratch);
-            if !next.is_too_deep() {
-                moved = true;
-            } else if next.on_table && drawn < DRAW_M {
-                let step = next.over + SLACK_M;
-                configuration.translation -= approach * step;
-                drawn += step;
-                moved = true;
-            } else {
-                configuration.copy_from(&before);
-                let close = now.gaps.iter().filter(|&&g| g <= near).count();
-                if close > 0 && next.in_scene {
-                    touching += close;
-                    towards += now.nearest;
-                }
-            }
-        }
-        // Those that touch wait, and the hand goes their way until the others touch too.
-        let sideways = towards - approach * approach.dot(&towards);
-        if shifted < SHIFT_M
-            && let Some(way) = sideways.try_normalize(0.3)
-        {
-            before.copy_from(configuration);
-            configuration.translation -= way * STEP_M;
-            let free = |closer: &Closer, scratch: &mut Scratch| {
-                !feel(objective, configuration, closer, scratch).is_too_deep()
-            };
-            if all.iter().all(|c| free(c, scratch)) {
-                shifted += STEP_M;
-                moved = true;
-            } else {
-                configuration.copy_from(&before);
-            }
-        }
-        // Fingers that curl on lie higher again: the hand follows them down.
-        if ahead > 0.0 {
-            before.copy_from(configuration);
-            configuration.translation += approach * STEP_M;
-            if is_free(objective, configuration, scratch) {
-                ahead -= STEP_M;
-                moved = true;
-            } else {
-                configuration.copy_from(&before);
-            }
-        }
-        if !moved {
-            break;
-        }
-    }
-    touching
-}
-
-/// True when no part of the hand is too deep in the scene or too near to the table.
-fn is_free(objective: &Objective<'_>, configuration: &Configuration, scratch: &mut Scratch) -> bool {
-    scratch.kinematics.forward(objective.model, configuration);
-    objective.place_spheres(scratch);
-    let deepest = FREE_VOXELS * objective.obstacles.grid.voxel_m();
-    objective.model.spheres.iter().zip(&scratch.centers).all(|(s, center)| {
-        let over_table = objective.obstacles.table_m.is_none_or(|t| center.z - s.radius >= t + TABLE_ROOM_M);
-        over_table && s.radius - objective.obstacles.scene(center).0 <= deepest
-    })
-}
-
-fn feel(
+pub(super) fn feel(
     objective: &Objective<'_>,
     configuration: &Configuration,
     closer: &Closer,

@@ -79,10 +79,10 @@ impl Judge<'_> {
             return Err(Rejection::new(R::Diverged, 0.0));
         }
         let mut at = candidate.best.clone();
+        scratch.contacts.share.copy_from_slice(&candidate.shares);
         closing::close(self.objective, &mut at, scratch);
         // The objective of what is returned: closing has moved the fingers since the last iteration.
         let mut unused = vec![0.0; 6 + model.coordinate_count];
-        scratch.contacts.share.copy_from_slice(&candidate.shares);
         let terms = self.objective.evaluate(&at, &candidate.reaching, true, scratch, &mut unused);
         let mean = scratch.contacts.mean();
         let size = self.scene.workspace.grid.size_m;

@@ -7,6 +7,7 @@
 
 use nalgebra::Vector3;
 
+use super::closing::{Closer, DRAW_M, SHIFT_M, STEP_M, TABLE_ROOM_M, feel};
 use super::opposition;
 use crate::balance;
 use crate::configuration::Configuration;
@@ -22,14 +23,19 @@ const ALIGNED: f64 = 0.2;
 const LEAST_STEP_M: f64 = 0.001;
 /// ... and this far at most.
 const FARTHEST_M: f64 = 0.06;
-/// Its spheres may then be this deep in the scene, voxels.
+
+/// Fingers that close together go at most this far in a round, metres.
+const PACE_M: f64 = 0.003;
+/// The hand follows its fingers down while its spheres are no deeper in the scene than this, voxels.
 const FREE_VOXELS: f64 = 0.5;
-/// Room between the hand and the table, metres.
-const TABLE_ROOM_M: f64 = 0.003;
+/// Rounds of closing together.
+const ROUNDS: usize = 120;
+/// Where the hand gives way to the table it gives so much more, metres.
+const SLACK_M: f64 = 0.0005;
 
 /// How well fingers hold: 0 where no two of those that touch face each other, else the sum over the touching fingers
 /// of 1 at contact down to 0 at the distance that just counts as one.
-pub(crate) fn hold(objective: &Objective<'_>, at: &Configuration, scratch: &mut Scratch) -> f64 {
+pub(super) fn hold(objective: &Objective<'_>, at: &Configuration, scratch: &mut Scratch) -> f64 {
     let model = objective.model;
     let hand = model.hand;
     scratch.kinematics.forward(model, at);
@@ -51,14 +57,13 @@ pub(crate) fn hold(objective: &Objective<'_>, at: &Configuration, scratch: &mut 
     if opposition::face_each_other(&sides) { nearness.iter().sum() } else { 0.0 }
 }
 
-/// Tries the shapes and leaves the best in `configuration`, if one holds; `close` closes the fingers of
-/// a hand that has been drawn back so far (metres).
-pub(crate) fn regrip(
+/// Tries the shapes and leaves the best in `configuration`, if one holds.
+pub(super) fn regrip(
     objective: &Objective<'_>,
+    closers: &[Closer],
     start: &Configuration,
     configuration: &mut Configuration,
     scratch: &mut Scratch,
-    close: &mut dyn FnMut(&mut Configuration, f64, &mut Scratch),
 ) {
     let model = objective.model;
     let mean = {
@@ -94,7 +99,7 @@ pub(crate) fn regrip(
             continue;
         }
         let drawn = (at.translation - began).norm();
-        close(&mut at, drawn, scratch);
+        close_together(objective, closers, &mut at, drawn, scratch);
         let hold = hold(objective, &at, scratch);
         if hold > best.as_ref().map_or(0.0, |b| b.0) {
             best = Some((hold, at));
@@ -135,4 +140,92 @@ fn draw_back(
         }
         at.translation += back * step;
     }
+}
+
+/// Closes all fingers at the same pace until each touches; the hand gives way to the table along its approach, and
+/// sideways to fingers that touch before others do. It goes `ahead` by at most so many metres.
+fn close_together(
+    objective: &Objective<'_>,
+    all: &[Closer],
+    configuration: &mut Configuration,
+    ahead: f64,
+    scratch: &mut Scratch,
+) {
+    let model = objective.model;
+    let approach = configuration.rotation * model.approach;
+    let near = CONTACT_VOXELS * objective.obstacles.grid.voxel_m();
+    let (mut drawn, mut shifted) = (0.0, 0.0);
+    let mut ahead = ahead;
+    let mut before = configuration.clone();
+    for _ in 0..ROUNDS {
+        let mut moved = false;
+        let mut towards = Vector3::zeros();
+        for closer in all {
+            let now = feel(objective, configuration, closer, scratch);
+            if now.all_touch() {
+                towards += now.touching;
+                continue;
+            }
+            before.copy_from(configuration);
+            if !now.is_too_deep() && !closer.move_by(model, configuration, now.safe_step().min(PACE_M)) {
+                continue;
+            }
+            let next = feel(objective, configuration, closer, scratch);
+            if !next.is_too_deep() {
+                moved = true;
+            } else if next.on_table && drawn < DRAW_M {
+                let step = next.over + SLACK_M;
+                configuration.translation -= approach * step;
+                drawn += step;
+                moved = true;
+            } else {
+                configuration.copy_from(&before);
+                if next.in_scene && now.gaps.iter().any(|&g| g <= near) {
+                    towards += now.nearest;
+                }
+            }
+        }
+        // Those that touch wait, and the hand goes their way until the others touch too.
+        let sideways = towards - approach * approach.dot(&towards);
+        if shifted < SHIFT_M
+            && let Some(way) = sideways.try_normalize(0.3)
+        {
+            before.copy_from(configuration);
+            configuration.translation -= way * STEP_M;
+            let free = |closer: &Closer, scratch: &mut Scratch| {
+                !feel(objective, configuration, closer, scratch).is_too_deep()
+            };
+            if all.iter().all(|c| free(c, scratch)) {
+                shifted += STEP_M;
+                moved = true;
+            } else {
+                configuration.copy_from(&before);
+            }
+        }
+        // Fingers that curl on lie higher again: the hand follows them down.
+        if ahead > 0.0 {
+            before.copy_from(configuration);
+            configuration.translation += approach * STEP_M;
+            if is_free(objective, configuration, scratch) {
+                ahead -= STEP_M;
+                moved = true;
+            } else {
+                configuration.copy_from(&before);
+            }
+        }
+        if !moved {
+            return;
+        }
+    }
+}
+
+/// True when no part of the hand is too deep in the scene or too near to the table.
+fn is_free(objective: &Objective<'_>, configuration: &Configuration, scratch: &mut Scratch) -> bool {
+    scratch.kinematics.forward(objective.model, configuration);
+    objective.place_spheres(scratch);
+    let deepest = FREE_VOXELS * objective.obstacles.grid.voxel_m();
+    objective.model.spheres.iter().zip(&scratch.centers).all(|(s, center)| {
+        let over_table = objective.obstacles.table_m.is_none_or(|t| center.z - s.radius >= t + TABLE_ROOM_M);
+        over_table && s.radius - objective.obstacles.scene(center).0 <= deepest
+    })
 }
