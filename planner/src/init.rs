@@ -4,6 +4,7 @@
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
 use rand::RngExt;
 
+use crate::balance;
 use crate::configuration::{Configuration, Kinematics};
 use crate::hand_model::HandModel;
 use crate::options::PlanOptions;
@@ -29,8 +30,9 @@ impl Initializer<'_> {
     /// Joints lie in the first `γ_j` of their closing range, for half of the hands of what is left of it after they
     /// have closed by a random share; the approach axis within π/6 (or the allowed
     /// cone, if that is narrower) of the reaching direction, the roll about it is free; the mean contact
-    /// candidate starts the hand's start offset (0.05 m) before a weighted random centred centroid.
-    pub(crate) fn draw(&self, rng: &mut impl rand::Rng) -> (Configuration, Vector3<f64>) {
+    /// candidate starts the hand's start offset (0.05 m) before a weighted random centred centroid. Also returns
+    /// what each contact candidate counts in that mean and in the objectives (see [`balance`]).
+    pub(crate) fn draw(&self, rng: &mut impl rand::Rng) -> (Configuration, Vector3<f64>, Vec<f64>) {
         let reaching = reaching_direction(&self.options.reaching, &self.world_from_volume, &self.view, rng);
         let cone = INITIAL_CONE_RAD.min(self.options.orientation.cone_rad.max(0.0));
         let axis = cone_sample(&reaching, cone, rng);
@@ -64,11 +66,14 @@ impl Initializer<'_> {
         let mut kinematics = Kinematics::new(self.model);
         kinematics.forward(self.model, &configuration);
         let points = &self.model.points;
-        let mean = points.iter().map(|p| kinematics.point(p.body, &p.point)).sum::<Vector3<f64>>()
-            / points.len().max(1) as f64;
+        let normals: Vec<Vector3<f64>> =
+            points.iter().map(|p| kinematics.direction(p.body, &p.normal)).collect();
+        let shares = balance::shares(&normals, self.model.hand.pads.len());
+        let mean: Vector3<f64> =
+            points.iter().zip(&shares).map(|(p, w)| kinematics.point(p.body, &p.point) * *w).sum();
         let target = self.pick(rng);
         configuration.translation = target - mean - axis * self.model.hand.start_offset_m;
-        (configuration, reaching)
+        (configuration, reaching, shares)
     }
 
     /// A centred centroid, drawn by weight.
@@ -116,7 +121,7 @@ mod tests {
         let mut kinematics = Kinematics::new(&model);
         let (mut chosen, mut wide) = ([0usize; 2], 0);
         for _ in 0..200 {
-            let (configuration, reaching) = initializer.draw(rng);
+            let (configuration, reaching, weights) = initializer.draw(rng);
             let axis = configuration.rotation * model.approach;
             assert!(axis.angle(&reaching) < INITIAL_CONE_RAD + 1e-9);
             let shares: Vec<f64> = configuration
@@ -128,8 +133,9 @@ mod tests {
             assert!(shares.iter().all(|s| (0.0..=1.0).contains(s)), "{shares:?}");
             wide += usize::from(shares.iter().all(|s| *s <= options.opening_fraction));
             kinematics.forward(&model, &configuration);
-            let mean = model.points.iter().map(|p| kinematics.point(p.body, &p.point)).sum::<Vector3<f64>>()
-                / model.points.len() as f64;
+            assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+            let points = model.points.iter().zip(&weights);
+            let mean: Vector3<f64> = points.map(|(p, w)| kinematics.point(p.body, &p.point) * *w).sum();
             let target = mean + axis * hand.start_offset_m;
             let which = centroids.iter().position(|c| (c.position.coords - target).norm() < 1e-9);
             chosen[which.expect("the back-off starts at a centroid")] += 1;

@@ -12,6 +12,7 @@
 //! (origin at the cube's corner, z up), `hand` (the URDF's root link). `a_from_b` takes coordinates in b
 //! to coordinates in a. Units are SI.
 
+mod balance;
 pub mod budget;
 mod configuration;
 pub mod contact_field;

@@ -19,7 +19,6 @@ pub(crate) fn independence(
     weight: f64,
 ) -> f64 {
     let n = contacts.len();
-    let share = 1.0 / n as f64;
     let moments = Moments::new(contacts, center, length);
     if moments.all_exceed(floor) {
         return 0.0;
@@ -39,7 +38,7 @@ pub(crate) fn independence(
             let r = contacts.point[i] - center;
             // λ = (1/N)·Σ ‖s_i‖² with s_i = v_f + v_τ × r_i.
             let s = force + torque.cross(&r);
-            contacts.point_gradient[i] += s.cross(&torque) * (-2.0 * lack * 2.0 * share * weight);
+            contacts.point_gradient[i] += s.cross(&torque) * (-4.0 * lack * contacts.share[i] * weight);
         }
     }
     sum
@@ -54,17 +53,14 @@ struct Moments {
 
 impl Moments {
     fn new(contacts: &Contacts, center: &Vector3<f64>, length: f64) -> Self {
-        let share = 1.0 / contacts.len() as f64;
         let inverse = 1.0 / length;
         let mut first = Vector3::zeros();
         let mut second = Matrix3::zeros();
-        for p in &contacts.point {
+        for (p, &share) in contacts.point.iter().zip(&contacts.share) {
             let r = (p - center) * inverse;
-            first += r;
-            second += r * r.transpose();
+            first += r * share;
+            second += r * r.transpose() * share;
         }
-        first *= share;
-        second *= share;
         Self { first, rotational: Matrix3::from_diagonal_element(second.trace()) - second }
     }
 
@@ -99,7 +95,8 @@ pub(crate) fn net_wrench(contacts: &mut Contacts, center: &Vector3<f64>, length:
     let mut total = 0.0;
     for i in 0..n {
         let look = &contacts.look[i];
-        let w = look.certainty().max(0.0) * contacts.normal[i].dot(&look.inward()).max(0.0);
+        let w =
+            contacts.share[i] * look.certainty().max(0.0) * contacts.normal[i].dot(&look.inward()).max(0.0);
         contacts.push[i] = w;
         total += w;
     }

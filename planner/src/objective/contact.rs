@@ -50,7 +50,7 @@ impl Look {
     }
 }
 
-/// Distance to focal contacts beyond the tolerance: `mean_i relu(d(p_i) − τ)`.
+/// Distance to focal contacts beyond the tolerance: `Σ_i w_i relu(d(p_i) − τ)`.
 ///
 /// `τ` is a tenth of the mean distance between paired candidates, as in the reference, not differentiated.
 /// Where the reference pairs at random, candidate `i` is paired with `i + N/2`.
@@ -60,7 +60,6 @@ pub(crate) fn distance(contacts: &mut Contacts, weight: f64) -> f64 {
     let spread: f64 = (0..half).map(|i| (contacts.point[i] - contacts.point[i + half]).norm()).sum::<f64>()
         / half.max(1) as f64;
     let tolerance = 0.1 * spread;
-    let share = 1.0 / n as f64;
     let mut sum = 0.0;
     for i in 0..n {
         let look = &contacts.look[i];
@@ -68,7 +67,8 @@ pub(crate) fn distance(contacts: &mut Contacts, weight: f64) -> f64 {
         if beyond <= 0.0 {
             continue;
         }
-        sum += beyond;
+        let share = contacts.share[i];
+        sum += share * beyond;
         let mut g = look.sample.gradient_of(DISTANCE);
         let outside = look.outside.norm();
         if outside > 0.0 {
@@ -76,37 +76,37 @@ pub(crate) fn distance(contacts: &mut Contacts, weight: f64) -> f64 {
         }
         contacts.point_gradient[i] += g * (weight * share);
     }
-    sum * share
+    sum
 }
 
-/// Lack of certainty: `mean_i ℓ·(1 − P_c(p_i))`, metres.
+/// Lack of certainty: `Σ_i w_i ℓ·(1 − P_c(p_i))`, metres.
 ///
 /// The reference moves each candidate towards a copy of itself that has gone up the gradient of `P_c`;
 /// that step has no objective of which it is the gradient. This one has the same direction and, with `ℓ`
 /// the reference's step, about the same size.
 pub(crate) fn certainty(contacts: &mut Contacts, weight: f64, length: f64) -> f64 {
-    let share = 1.0 / contacts.len() as f64;
     let mut sum = 0.0;
     for i in 0..contacts.len() {
         let look = &contacts.look[i];
-        sum += length * (1.0 - look.certainty());
+        let share = contacts.share[i];
+        sum += share * length * (1.0 - look.certainty());
         let g = look.sample.gradient_of(CERTAINTY) * (-weight * share * length);
         contacts.point_gradient[i] += g;
     }
-    sum * share
+    sum
 }
 
-/// Mismatch of pad normals and contact orientations: `mean_i ½‖n_i − z(Φ_c(p_i))‖`, 0 to 1.
+/// Mismatch of pad normals and contact orientations: `Σ_i w_i ½‖n_i − z(Φ_c(p_i))‖`, 0 to 1.
 ///
 /// The direction field is interpolated, so that the term also has a gradient in position.
 pub(crate) fn orientation(contacts: &mut Contacts, weight: f64) -> f64 {
-    let share = 1.0 / contacts.len() as f64;
     let mut sum = 0.0;
     for i in 0..contacts.len() {
         let look = &contacts.look[i];
         let gap = contacts.normal[i] - look.inward();
         let length = (gap.norm_squared() + SMOOTH).sqrt();
-        sum += 0.5 * length;
+        let share = contacts.share[i];
+        sum += share * 0.5 * length;
         let g = gap * (0.5 * weight * share / length);
         let s = &look.sample;
         let along = |axis: usize| {
@@ -116,7 +116,7 @@ pub(crate) fn orientation(contacts: &mut Contacts, weight: f64) -> f64 {
         contacts.point_gradient[i] -= Vector3::new(along(0), along(1), along(2));
         contacts.normal_gradient[i] += g;
     }
-    sum * share
+    sum
 }
 
 /// Distance of the mean contact to the nearest centred centroid: `min_s ‖c̄ − s‖`, metres.
@@ -127,7 +127,6 @@ pub(crate) fn centroid(
     centroids: &[CenteredCentroid],
     weight: f64,
 ) -> Option<(f64, usize)> {
-    let share = 1.0 / contacts.len() as f64;
     let mean = contacts.mean();
     let (nearest, squared) = centroids
         .iter()
@@ -136,9 +135,9 @@ pub(crate) fn centroid(
         .min_by(|a, b| a.1.total_cmp(&b.1))?;
     let distance = squared.sqrt();
     if distance > 1e-9 {
-        let g = (mean - centroids[nearest].position.coords) * (weight * share / distance);
-        for slot in &mut contacts.point_gradient {
-            *slot += g;
+        let g = (mean - centroids[nearest].position.coords) * (weight / distance);
+        for (slot, share) in contacts.point_gradient.iter_mut().zip(&contacts.share) {
+            *slot += g * *share;
         }
     }
     Some((distance, nearest))

@@ -34,6 +34,8 @@ pub(crate) struct Contacts {
     pub(crate) normal_gradient: Vec<Vector3<f64>>,
     /// Share of the push of each candidate.
     pub(crate) push: Vec<f64>,
+    /// What each candidate counts in means; sums to 1.
+    pub(crate) share: Vec<f64>,
 }
 
 impl Contacts {
@@ -45,6 +47,7 @@ impl Contacts {
             point_gradient: vec![Vector3::zeros(); count],
             normal_gradient: vec![Vector3::zeros(); count],
             push: vec![0.0; count],
+            share: vec![1.0 / count.max(1) as f64; count],
         }
     }
 
@@ -54,7 +57,7 @@ impl Contacts {
 
     /// The mean contact `c̄`.
     pub(crate) fn mean(&self) -> Vector3<f64> {
-        self.point.iter().sum::<Vector3<f64>>() / self.len().max(1) as f64
+        self.point.iter().zip(&self.share).map(|(p, share)| p * *share).sum()
     }
 }
 

@@ -80,6 +80,12 @@ fn gradient_error(seed: u64, select: impl Fn(&mut Weights)) -> f64 {
         weights,
     };
     let mut scratch = Scratch::new(&model);
+    let rng = &mut Xoshiro256PlusPlus::seed_from_u64(seed ^ 0x5A4E);
+    let shares: Vec<f64> = (0..model.points.len()).map(|_| rng.random_range(0.2..1.0)).collect();
+    let total: f64 = shares.iter().sum();
+    for (slot, share) in scratch.contacts.share.iter_mut().zip(&shares) {
+        *slot = share / total;
+    }
     let at = random_configuration(&model, seed);
     let reaching = -Vector3::z();
     let dimension = 6 + model.coordinate_count;

@@ -32,6 +32,8 @@ pub(crate) struct Candidate {
     /// Terms of every iteration, when asked for.
     pub(crate) trace: Vec<ObjectiveTerms>,
     keep_trace: bool,
+    /// What each contact candidate counts in means; see [`crate::balance`].
+    pub(crate) shares: Vec<f64>,
     adam: Adam,
     gradient: Vec<f64>,
     rng: Xoshiro256PlusPlus,
@@ -49,7 +51,7 @@ impl Candidate {
         // Distinct streams from one seed: SplitMix64 inside `seed_from_u64` spreads neighbouring numbers.
         let stream = initializer.options.seed ^ (index as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(stream);
-        let (mut current, reaching) = initializer.draw(&mut rng);
+        let (mut current, reaching, shares) = initializer.draw(&mut rng);
         allowed.enforce(initializer.model, &reaching, &mut current);
         let dimension = 6 + current.coordinates.len();
         Self {
@@ -57,6 +59,7 @@ impl Candidate {
             current,
             terms: ObjectiveTerms { total: f64::INFINITY, ..ObjectiveTerms::default() },
             reaching,
+            shares,
             trace: Vec::with_capacity(if keep_trace { iterations } else { 0 }),
             keep_trace,
             adam: Adam::new(dimension),
@@ -85,6 +88,7 @@ impl Candidate {
         scratch: &mut Scratch,
     ) -> bool {
         let first_with_penetration = scheme.iterations.saturating_sub(scheme.with_penetration);
+        scratch.contacts.share.copy_from_slice(&self.shares);
         while self.iteration < until {
             if budget.stop().is_some() {
                 return false;

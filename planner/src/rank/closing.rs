@@ -7,12 +7,13 @@
 use graspd_hands::{Actuation, CoordinateKind, SoftCoupling};
 use nalgebra::Vector3;
 
+use super::regrip;
 use crate::configuration::Configuration;
 use crate::hand_model::HandModel;
 use crate::objective::{Objective, Scratch};
 
 /// Fingertip motion of the smallest closing step, metres.
-const STEP_M: f64 = 0.001;
+pub(super) const STEP_M: f64 = 0.001;
 /// Larger steps go this share of the way to the nearest thing.
 const SHARE_OF_ROOM: f64 = 0.7;
 /// No step is longer than this, metres.
@@ -27,19 +28,19 @@ const DEEPEST_VOXELS: f64 = 0.8;
 /// Fingers close at most this far to find a surface, metres of fingertip motion.
 const TRAVEL_M: f64 = 0.25;
 /// A hand with one motor is shifted at most this far so that its fingers touch together, metres.
-const SHIFT_M: f64 = 0.02;
+pub(super) const SHIFT_M: f64 = 0.02;
 /// Fingers close no nearer to the table than this, metres: a depth camera knows the table's height no better.
-const TABLE_ROOM_M: f64 = 0.003;
+pub(super) const TABLE_ROOM_M: f64 = 0.003;
 /// The hand is drawn back by this much at a time where the table stops its fingers, metres.
 const DRAW_STEP_M: f64 = 0.005;
 /// The hand is drawn back at most this far, metres.
-const DRAW_M: f64 = 0.05;
+pub(super) const DRAW_M: f64 = 0.05;
 /// How far beyond contact the squeeze command goes, metres of fingertip motion.
 const SQUEEZE_M: f64 = 0.010;
 
 /// One coordinate that closes, and the fingers that it moves.
 #[derive(Debug)]
-struct Closer {
+pub(super) struct Closer {
     coordinate: usize,
     /// +1 or −1: the direction of closing.
     sign: f64,
@@ -51,6 +52,28 @@ struct Closer {
     pairs: Vec<(usize, usize)>,
     /// Adaptive coordinates that its mechanism moves along until something stops them, and how far.
     followers: Vec<(usize, f64)>,
+}
+
+impl Closer {
+    /// Closes by so many metres of fingertip motion; negative opens. False at the end of the range.
+    pub(super) fn move_by(
+        &self,
+        model: &HandModel<'_>,
+        configuration: &mut Configuration,
+        metres: f64,
+    ) -> bool {
+        let c = self.coordinate;
+        let coordinates = &model.hand.actuation.coordinates;
+        let per_metre = model.step_scale[c] * self.sign;
+        let before = configuration.coordinates[c];
+        let next = (before + metres * per_metre).clamp(coordinates[c].lower, coordinates[c].upper);
+        configuration.coordinates[c] = next;
+        for &(i, ratio) in &self.followers {
+            let along = configuration.coordinates[i] + ratio * (next - before);
+            configuration.coordinates[i] = along.clamp(coordinates[i].lower, coordinates[i].upper);
+        }
+        next != before
+    }
 }
 
 fn closers(model: &HandModel<'_>) -> Vec<Closer> {
@@ -114,24 +137,28 @@ fn followers(actuation: &Actuation, actuator: usize) -> Vec<(usize, f64)> {
 }
 
 /// What closing feels: the gaps of the fingers' pads, and the room of the moved parts.
-struct Feel {
+pub(super) struct Feel {
     /// Smallest signed distance of each finger's candidates to the scene, metres; what is no object is never
     /// touched.
-    gaps: Vec<f64>,
+    pub(super) gaps: Vec<f64>,
     /// How much deeper than allowed the moved parts are in scene, table or each other, metres; negative is room.
-    over: f64,
+    pub(super) over: f64,
     /// Mean outward normal of the pads that touch, volume frame.
-    touching: Vector3<f64>,
+    pub(super) touching: Vector3<f64>,
+    /// Outward normals of the candidates nearest to the scene, by finger, added up, volume frame.
+    pub(super) nearest: Vector3<f64>,
+    /// True when it is the scene that the moved parts are deepest in.
+    pub(super) in_scene: bool,
     /// True when it is the table that the moved parts are deepest in.
-    on_table: bool,
+    pub(super) on_table: bool,
 }
 
 impl Feel {
-    fn is_too_deep(&self) -> bool {
+    pub(super) fn is_too_deep(&self) -> bool {
         self.over > 0.0
     }
 
-    fn all_touch(&self) -> bool {
+    pub(super) fn all_touch(&self) -> bool {
         self.gaps.iter().all(|&g| g <= TOUCH_M)
     }
 
@@ -140,7 +167,7 @@ impl Feel {
     }
 
     /// A step that cannot jump through anything: nothing that moves is nearer than this.
-    fn safe_step(&self) -> f64 {
+    pub(super) fn safe_step(&self) -> f64 {
         let nearest = self.gaps.iter().copied().fold(-self.over, f64::min);
         (SHARE_OF_ROOM * nearest).clamp(STEP_M, LARGEST_STEP_M)
     }
@@ -172,6 +199,9 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
     if let Some((_, best)) = best {
         configuration.copy_from(&best);
     }
+    if regrip::hold(objective, configuration, scratch) == 0.0 {
+        regrip::regrip(objective, &closers, &start, configuration, scratch);
+    }
 }
 
 /// What one closing came to.
@@ -197,19 +227,8 @@ fn close_once(
     let may_shift = all.len() == 1 && all[0].fingers.len() > 1;
     let mut closed = Closed { touching: 0, stopped_by_table: false };
     for closer in all {
-        let c = closer.coordinate;
-        let coordinates = &model.hand.actuation.coordinates;
-        let per_metre = model.step_scale[c] * closer.sign;
-        let move_by = |configuration: &mut Configuration, metres: f64| {
-            let before = configuration.coordinates[c];
-            let next = (before + metres * per_metre).clamp(coordinates[c].lower, coordinates[c].upper);
-            configuration.coordinates[c] = next;
-            for &(i, ratio) in &closer.followers {
-                let along = configuration.coordinates[i] + ratio * (next - before);
-                configuration.coordinates[i] = along.clamp(coordinates[i].lower, coordinates[i].upper);
-            }
-            next != before
-        };
+        let move_by =
+            |configuration: &mut Configuration, metres: f64| closer.move_by(model, configuration, metres);
         let start = configuration.clone();
         let mut feel = feel(objective, configuration, closer, scratch);
         let mut opened = 0.0;
@@ -249,7 +268,7 @@ fn close_once(
     closed
 }
 
-fn feel(
+pub(super) fn feel(
     objective: &Objective<'_>,
     configuration: &Configuration,
     closer: &Closer,
@@ -259,8 +278,10 @@ fn feel(
     let kinematics = &scratch.kinematics;
     let deepest = DEEPEST_VOXELS * objective.obstacles.grid.voxel_m();
     let mut touching = Vector3::zeros();
+    let mut nearest = Vector3::zeros();
     let mut over = f64::NEG_INFINITY;
     let mut in_table = f64::NEG_INFINITY;
+    let mut most_in_scene = f64::NEG_INFINITY;
     let gaps: Vec<f64> = closer
         .fingers
         .iter()
@@ -280,6 +301,7 @@ fn feel(
                     normal = kinematics.direction(p.body, &p.normal);
                 }
             }
+            nearest += normal;
             if least <= TOUCH_M {
                 touching += normal;
             }
@@ -294,6 +316,7 @@ fn feel(
         let (center, radius) = center(i);
         let in_scene = radius - objective.obstacles.scene(&center).0 - deepest;
         over = over.max(in_scene);
+        most_in_scene = most_in_scene.max(in_scene);
         if let Some(table) = objective.obstacles.table_m {
             let into = radius - (center.z - table) + TABLE_ROOM_M;
             over = over.max(into);
@@ -307,11 +330,16 @@ fn feel(
         let ((a, radius_a), (b, radius_b)) = (center(a), center(b));
         over = over.max(radius_a + radius_b - (a - b).norm() - OVERLAP_M);
     }
-    Feel { gaps, over, touching, on_table: in_table >= over }
+    Feel { gaps, over, touching, nearest, in_scene: most_in_scene >= over, on_table: in_table >= over }
 }
 
-/// True when the surface next to a point is an object's.
-fn is_object(objective: &Objective<'_>, point: &Vector3<f64>, gap: f64, slope: &Vector3<f64>) -> bool {
+/// True when the surface next to a point is an object's; the noise of a table's surface is none.
+pub(super) fn is_object(
+    objective: &Objective<'_>,
+    point: &Vector3<f64>,
+    gap: f64,
+    slope: &Vector3<f64>,
+) -> bool {
     slope.try_normalize(1e-3).is_some_and(|away| {
         let surface = point - away * gap;
         objective.obstacles.object_behind(&surface, &-away) > 0

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Point3, Translation3, Unit, Vector3};
 
 use super::collision::{self, SCENE_TOLERANCE_VOXELS, SELF_TOLERANCE_M, TABLE_TOLERANCE_M};
 use super::force_closure::{self, Directions, Push};
-use super::{closing, score};
+use super::{closing, opposition, score};
 use crate::configuration::Configuration;
 use crate::grasp::{Grasp, GraspContact, ObjectiveTerms, Postures, RejectReason};
 use crate::hand_model::HandModel;
@@ -63,6 +63,8 @@ struct Touch {
     pad: usize,
     body: usize,
     certainty: f64,
+    /// Outward normal of the pad: the way the finger presses.
+    pad_normal: Vector3<f64>,
 }
 
 impl Judge<'_> {
@@ -77,6 +79,7 @@ impl Judge<'_> {
             return Err(Rejection::new(R::Diverged, 0.0));
         }
         let mut at = candidate.best.clone();
+        scratch.contacts.share.copy_from_slice(&candidate.shares);
         closing::close(self.objective, &mut at, scratch);
         // The objective of what is returned: closing has moved the fingers since the last iteration.
         let mut unused = vec![0.0; 6 + model.coordinate_count];
@@ -123,6 +126,10 @@ impl Judge<'_> {
         let arms: Vec<Push> =
             touches.iter().map(|t| Push { arm: t.point - center, inward: t.inward.into_inner() }).collect();
         let length = arms.iter().map(|p| p.arm.norm()).fold(0.01, f64::max);
+        let sides = touches.iter().map(|t| (model.hand.pads[t.pad].finger, t.point, t.pad_normal));
+        if !opposition::face_each_other(&opposition::sides(model.hand.fingers.len(), sides)) {
+            return Err(Rejection::new(R::NoForceClosure, 0.0));
+        }
         if !opposed(model, &touches, self.options.friction) {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
         }
@@ -158,12 +165,12 @@ impl Judge<'_> {
                 if gap > reach {
                     return None;
                 }
+                let candidate = &hand.candidates[i];
                 let look = &contacts.look[i];
                 let inward = Unit::try_new(look.inward(), 1e-3).or_else(|| Unit::try_new(-slope, 1e-3))?;
                 if contacts.normal[i].dot(&inward) < ALIGNED {
                     return None;
                 }
-                let candidate = &hand.candidates[i];
                 // The surface that is really there must face the pad too: near edges the field's direction can
                 // belong to another side.
                 let away = slope.try_normalize(1e-3).unwrap_or_else(|| -inward.into_inner());
@@ -174,7 +181,15 @@ impl Judge<'_> {
                 let certainty = look.certainty();
                 let point = contacts.point[i] - away * gap;
                 let object = self.objective.obstacles.object_behind(&point, &inward);
-                Some(Touch { point, object, inward, pad: candidate.pad, body: candidate.body, certainty })
+                Some(Touch {
+                    point,
+                    object,
+                    inward,
+                    pad: candidate.pad,
+                    body: candidate.body,
+                    certainty,
+                    pad_normal: contacts.normal[i],
+                })
             })
             .collect()
     }

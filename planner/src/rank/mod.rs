@@ -4,7 +4,9 @@ mod closing;
 mod collision;
 mod force_closure;
 mod judge;
+mod opposition;
 mod reason;
+mod regrip;
 mod score;
 mod suppress;
 

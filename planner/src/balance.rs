@@ -1,0 +1,75 @@
+//! Which pads a candidate grasps with: shares of the pads such that their pushes hold each other.
+//!
+//! A grasp needs two sides. Where one finger opposes four, a mean over all pads lies among the four, and what is
+//! pulled to the object is their side of the hand. Pads are therefore weighed so that their normals cancel as far
+//! as they can in the posture with which a candidate starts.
+
+use nalgebra::Vector3;
+
+/// Steps of the search for the shares.
+const STEPS: usize = 60;
+/// Length of a step.
+const PACE: f64 = 2.0;
+/// How much pads with equal normals are kept at equal shares, against the balance of all.
+const EVENNESS: f64 = 0.2;
+
+/// Shares `w` of contact candidates with outward normals `n` that minimize `‖Σ w n‖² + evenness·Σ w²`, with `w ≥ 0`
+/// and `Σ w = 1`, by exponentiated gradient from equal shares. The evenness is that of `pads` pads with the same
+/// number of candidates each. No candidates: no shares.
+pub(crate) fn shares(normals: &[Vector3<f64>], pads: usize) -> Vec<f64> {
+    let n = normals.len();
+    let evenness = EVENNESS * n as f64 / pads.max(1) as f64;
+    let mut w = vec![1.0 / n.max(1) as f64; n];
+    for _ in 0..STEPS {
+        let sum: Vector3<f64> = normals.iter().zip(&w).map(|(n, w)| n * *w).sum();
+        let mut total = 0.0;
+        for (w, normal) in w.iter_mut().zip(normals) {
+            *w *= (-PACE * (sum.dot(normal) + evenness * *w)).exp();
+            total += *w;
+        }
+        w.iter_mut().for_each(|w| *w /= total);
+    }
+    w
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use rand::SeedableRng;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    use super::*;
+    use crate::random_hand::direction;
+
+    proptest! {
+        #[test]
+        fn shares_sum_to_one_and_balance_at_least_as_well_as_equal_ones(seed in 0u64..1_000_000, n in 1usize..24) {
+            let rng = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
+            let normals: Vec<Vector3<f64>> = (0..n).map(|_| direction(rng).into_inner()).collect();
+            let w = shares(&normals, n);
+            prop_assert!(w.iter().all(|w| (0.0..=1.0).contains(w)));
+            prop_assert!((w.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+            let cost = |w: &[f64]| {
+                let sum: Vector3<f64> = normals.iter().zip(w).map(|(n, w)| n * *w).sum();
+                sum.norm_squared() + EVENNESS * w.iter().map(|w| w * w).sum::<f64>()
+            };
+            prop_assert!(cost(&w) <= cost(&vec![1.0 / n as f64; n]) + 1e-9);
+        }
+    }
+
+    #[test]
+    fn one_thumb_weighs_nearly_as_much_as_four_fingers() {
+        let mut normals = vec![-Vector3::y(); 4];
+        normals.push(Vector3::y());
+        let w = shares(&normals, 5);
+        assert!(w[4] > 0.4 && w[4] <= 0.5, "{w:?}");
+        assert!(w[..4].iter().all(|x| (x - w[0]).abs() < 1e-12), "equal pads weigh the same: {w:?}");
+    }
+
+    #[test]
+    fn a_parallel_jaw_keeps_equal_shares() {
+        let w = shares(&[Vector3::x(), Vector3::x(), -Vector3::x(), -Vector3::x()], 2);
+        assert!(w.iter().all(|w| (w - 0.25).abs() < 1e-12), "{w:?}");
+        assert!(shares(&[], 0).is_empty());
+    }
+}
