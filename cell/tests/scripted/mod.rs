@@ -386,7 +386,12 @@ impl GraspPlanner for Shared {
             lateral: Vector3::x(),
             tool_point: Vector3::new(0.0, 0.0, 0.1),
             actuators: [("finger", 2.0), ("thumb", 1.0)]
-                .map(|(name, closed)| ActuatorFacts { name: name.into(), open: 0.0, closed })
+                .map(|(name, closed)| ActuatorFacts {
+                    name: name.into(),
+                    open: 0.0,
+                    closed,
+                    limits: [0.0, closed],
+                })
                 .into(),
             fingers: 2,
         })

@@ -8,7 +8,7 @@ use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::{DepthImage, Sensor};
-use crate::render::View;
+use crate::render::{View, refill};
 
 impl Sensor {
     /// One exposure. The seed decides the noise; the same seed gives the same image.
@@ -16,22 +16,40 @@ impl Sensor {
     /// The view decides the size of the image and the rays; it is normally rendered with this sensor's lens. A view
     /// whose lists do not have one value per pixel gives an image without returns.
     pub fn observe(&self, view: &View, seed: u64) -> DepthImage {
+        let mut image = DepthImage { width: 0, height: 0, depth_m: Vec::new() };
+        self.observe_into(view, seed, &mut Buffers::default(), &mut image);
+        image
+    }
+
+    /// As [`Sensor::observe`], in the memory of an image that was taken before.
+    pub(super) fn observe_into(&self, view: &View, seed: u64, buffers: &mut Buffers, image: &mut DepthImage) {
         let (width, height) = (view.lens.width, view.lens.height);
         let pixels = width.saturating_mul(height);
         let lengths = [view.depth_m.len(), view.cos_incidence.len(), view.albedo.len(), view.specular.len()];
+        (image.width, image.height) = (width, height);
         if pixels == 0 || lengths != [pixels; 4] {
-            return DepthImage { width, height, depth_m: vec![0.0; pixels.min(view.depth_m.len())] };
+            refill(&mut image.depth_m, pixels.min(view.depth_m.len()), 0.0);
+            return;
         }
-        let exposure = Exposure::new(self, view);
-        let mut known = Known::new(width);
-        let mut depth_m = vec![0.0; pixels];
-        for (row, out) in depth_m.chunks_exact_mut(width).enumerate() {
+        refill(&mut image.depth_m, pixels, 0.0);
+        let Buffers { inverse, edge, narrow, known } = buffers;
+        let exposure = Exposure::new(self, view, inverse, edge, narrow);
+        known.resize(width);
+        for (row, out) in image.depth_m.chunks_exact_mut(width).enumerate() {
             let mut rng = Xoshiro256PlusPlus::seed_from_u64(mix(mix(seed) ^ row as u64));
             known.prepare(&exposure, row);
-            exposure.row(row, &known, out, &mut rng);
+            exposure.row(row, known, out, &mut rng);
         }
-        DepthImage { width, height, depth_m }
     }
+}
+
+/// Memory that an exposure needs besides its image.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Buffers {
+    inverse: Vec<f32>,
+    edge: Vec<bool>,
+    narrow: Vec<bool>,
+    known: Known,
 }
 
 /// The widest band of flying pixels on one side of an edge; also the limit of [`Sensor::check`].
@@ -54,19 +72,25 @@ struct Exposure<'a> {
     view: &'a View,
     sensor: &'a Sensor,
     /// Inverse depth, 0 where there is nothing: linear along planes.
-    inverse: Vec<f32>,
+    inverse: &'a [f32],
     /// Where depth jumps.
-    edge: Vec<bool>,
+    edge: &'a [bool],
     systematic: Systematic,
     blur: f32,
     jitter: f32,
 }
 
 impl<'a> Exposure<'a> {
-    fn new(sensor: &'a Sensor, view: &'a View) -> Self {
-        let inverse: Vec<f32> =
-            view.depth_m.iter().map(|&z| if z > 0.0 && z < f32::MAX { 1.0 / z } else { 0.0 }).collect();
-        let edge = edges(&inverse, &view.lens, sensor.edges.step_m as f32, sensor.edges.reach_px);
+    fn new(
+        sensor: &'a Sensor,
+        view: &'a View,
+        inverse: &'a mut Vec<f32>,
+        edge: &'a mut Vec<bool>,
+        narrow: &mut Vec<bool>,
+    ) -> Self {
+        inverse.clear();
+        inverse.extend(view.depth_m.iter().map(|&z| if z > 0.0 && z < f32::MAX { 1.0 / z } else { 0.0 }));
+        edges(inverse, &view.lens, sensor.edges.step_m as f32, sensor.edges.reach_px, edge, narrow);
         // The standard deviation of a uniform number is its range over the square root of 12.
         let jitter = (sensor.lateral.jitter_px * 12f64.sqrt()) as f32;
         let systematic = Systematic::new(&sensor.systematic);
@@ -155,12 +179,19 @@ impl<'a> Exposure<'a> {
 /// Pixels within `reach` of a jump in depth of more than `step_m`.
 ///
 /// The second difference of the inverse depth is zero along planes, however slanted, and large on both sides of a
-/// jump.
-fn edges(inverse: &[f32], lens: &crate::camera::Pinhole, step_m: f32, reach: usize) -> Vec<bool> {
+/// jump. `narrow` is memory for the band as it was.
+fn edges(
+    inverse: &[f32],
+    lens: &crate::camera::Pinhole,
+    step_m: f32,
+    reach: usize,
+    edge: &mut Vec<bool>,
+    narrow: &mut Vec<bool>,
+) {
     let (width, height) = (lens.width, lens.height);
-    let mut edge = vec![false; inverse.len()];
+    refill(edge, inverse.len(), false);
     if width < 3 || height < 3 {
-        return edge;
+        return;
     }
     // A jump of s at depth z changes the inverse depth by s / (z (z + s)), seen from either side.
     let jumps = |change: f32, here: f32| change > step_m * here * here / (1.0 + step_m * here);
@@ -181,7 +212,7 @@ fn edges(inverse: &[f32], lens: &crate::camera::Pinhole, step_m: f32, reach: usi
         }
     }
     for _ in 1..reach.min(MAX_REACH_PX) {
-        let narrow = edge.clone();
+        narrow.clone_from(edge);
         for i in (0..edge.len()).filter(|i| narrow[*i]) {
             let (row, column) = (i / width, i % width);
             edge[row * width + column.saturating_sub(1)] = true;
@@ -190,7 +221,6 @@ fn edges(inverse: &[f32], lens: &crate::camera::Pinhole, step_m: f32, reach: usi
             edge[(row + 1).min(height - 1) * width + column] = true;
         }
     }
-    edge
 }
 
 /// First and one past the last lit column of a row.
@@ -211,6 +241,7 @@ fn lit(polygon: &[[f64; 2]], lens: &crate::camera::Pinhole, row: usize) -> (usiz
 }
 
 /// What is known of each pixel of a row before any chance comes in.
+#[derive(Debug, Clone, Default)]
 struct Known {
     /// Probability of a return.
     returns: Vec<f32>,
@@ -221,9 +252,10 @@ struct Known {
 }
 
 impl Known {
-    fn new(width: usize) -> Self {
-        let [returns, sigma, bias] = [(); 3].map(|()| vec![0.0; width]);
-        Self { returns, sigma, bias }
+    fn resize(&mut self, width: usize) {
+        for list in [&mut self.returns, &mut self.sigma, &mut self.bias] {
+            list.resize(width, 0.0);
+        }
     }
 
     fn prepare(&mut self, exposure: &Exposure<'_>, row: usize) {
