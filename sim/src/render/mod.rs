@@ -141,9 +141,10 @@ impl Renderer {
         raster.draw(lens, world_from_camera, pieces);
         std::mem::swap(&mut raster.inverse, &mut view.depth_m);
         let pixels = raster.facet.len();
-        refill(&mut view.instance, pixels, BACKGROUND);
+        // Every pixel is written below: what is left from the last view need not be cleared.
+        view.instance.resize(pixels, BACKGROUND);
         for list in [&mut view.cos_incidence, &mut view.albedo, &mut view.specular] {
-            refill(list, pixels, 0.0);
+            list.resize(pixels, 0.0);
         }
         (view.lens, view.world_from_camera) = (*lens, *world_from_camera);
         self.columns.clear();

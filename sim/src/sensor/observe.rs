@@ -3,6 +3,8 @@
 //! Each row has its own stream of random numbers, derived from the seed and the row: an image depends on nothing
 //! but its view, its sensor and its seed.
 
+use std::ops::Range;
+
 use rand::{Rng, RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -31,14 +33,16 @@ impl Sensor {
             refill(&mut image.depth_m, pixels.min(view.depth_m.len()), 0.0);
             return;
         }
-        refill(&mut image.depth_m, pixels, 0.0);
+        image.depth_m.resize(pixels, 0.0);
         let Buffers { inverse, edge, narrow, known } = buffers;
         let exposure = Exposure::new(self, view, inverse, edge, narrow);
         known.resize(width);
         for (row, out) in image.depth_m.chunks_exact_mut(width).enumerate() {
             let mut rng = Xoshiro256PlusPlus::seed_from_u64(mix(mix(seed) ^ row as u64));
-            known.prepare(&exposure, row);
-            exposure.row(row, known, out, &mut rng);
+            out.fill(0.0);
+            let (first, last) = lit(&self.illumination, &view.lens, row);
+            known.prepare(&exposure, row, first..last.max(first));
+            exposure.row(row, first..last, known, out, &mut rng);
         }
     }
 }
@@ -97,15 +101,21 @@ impl<'a> Exposure<'a> {
         Self { view, sensor, inverse, edge, systematic, blur: sensor.lateral.blur as f32, jitter }
     }
 
-    /// One row of the image; `out` begins as zeros.
-    fn row(&self, row: usize, known: &Known, out: &mut [f32], rng: &mut Xoshiro256PlusPlus) {
+    /// One row of the image, its lit columns; `out` begins as zeros.
+    fn row(
+        &self,
+        row: usize,
+        columns: Range<usize>,
+        known: &Known,
+        out: &mut [f32],
+        rng: &mut Xoshiro256PlusPlus,
+    ) {
         let width = self.view.lens.width;
-        let (first, last) = lit(&self.sensor.illumination, &self.view.lens, row);
         let start = row * width;
         let depth = &self.view.depth_m[start..start + width];
         let edge = &self.edge[start..start + width];
         let inner = row > 0 && row + 1 < self.view.lens.height;
-        for (column, out) in out.iter_mut().enumerate().take(last).skip(first) {
+        for (column, out) in out.iter_mut().enumerate().take(columns.end).skip(columns.start) {
             let returns = known.returns[column];
             // Also where the share is not a number.
             if !(returns >= 1.0 || (returns > 0.0 && unit(rng.next_u32()) < returns)) {
@@ -258,9 +268,10 @@ impl Known {
         }
     }
 
-    fn prepare(&mut self, exposure: &Exposure<'_>, row: usize) {
-        let (sensor, view, width) = (exposure.sensor, exposure.view, self.returns.len());
-        let row = row * width..(row + 1) * width;
+    /// What is known of some columns of a row; what is left of another row stays elsewhere.
+    fn prepare(&mut self, exposure: &Exposure<'_>, row: usize, columns: Range<usize>) {
+        let (sensor, view, start) = (exposure.sensor, exposure.view, row * self.returns.len());
+        let row = start + columns.start..start + columns.end;
         let (depth, inverse) = (&view.depth_m[row.clone()], &exposure.inverse[row.clone()]);
         let (cos, albedo) = (&view.cos_incidence[row.clone()], &view.albedo[row.clone()]);
         let specular = &view.specular[row];
@@ -275,19 +286,20 @@ impl Known {
         let (constant, linear, quadratic) =
             (square(axial.floor_m), square(axial.linear), square(axial.quadratic));
         let cap = axial.cap_m as f32;
-        for i in 0..width {
+        let (returns, sigma) = (&mut self.returns[columns.clone()], &mut self.sigma[columns.clone()]);
+        for i in 0..depth.len() {
             let (z, inverse, cos, specular) = (depth[i], inverse[i], cos[i], specular[i]);
             let light = albedo[i] * (1.0 - specular) * cos;
             let amplitude = light * inverse * inverse;
             let fourth = (cos * cos) * (cos * cos);
             let shiny = (specular * (anywhere + facing * fourth * fourth)).clamp(0.0, 1.0);
             let share = by_amplitude.at(amplitude) * by_angle.at(cos) * (1.0 - shiny);
-            self.returns[i] = if inverse > 0.0 && amplitude <= ceiling { share } else { 0.0 };
+            returns[i] = if inverse > 0.0 && amplitude <= ceiling { share } else { 0.0 };
             let squared = z * z;
             let noise = (linear + quadratic * squared) * squared / light.max(1e-6);
-            self.sigma[i] = (constant + noise).sqrt().min(cap);
+            sigma[i] = (constant + noise).sqrt().min(cap);
         }
-        exposure.systematic.fill(depth, &mut self.bias);
+        exposure.systematic.fill(depth, &mut self.bias[columns]);
     }
 }
 
