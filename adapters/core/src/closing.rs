@@ -46,9 +46,11 @@ impl CloseCommand {
     /// it might let go.
     fn meeting(&self, from: &[f64]) -> Vec<f64> {
         let ways = from.iter().zip(&self.contact).zip(&self.squeezed);
-        ways.map(|((&from, &contact), squeezed)| {
-            if (from - contact) * (squeezed - contact) > 0.0 { from } else { contact }
-        })
+        ways.map(
+            |((&from, &contact), squeezed)| {
+                if (from - contact) * (squeezed - contact) > 0.0 { from } else { contact }
+            },
+        )
         .collect()
     }
 

@@ -93,13 +93,7 @@ impl Shared {
     }
 
     /// Begins a grip, or says why not.
-    pub(crate) fn begin(
-        &self,
-        stage: &mut Stage,
-        call: Call,
-        reply: Reply<HandState>,
-        order: Order,
-    ) {
+    pub(crate) fn begin(&self, stage: &mut Stage, call: Call, reply: Reply<HandState>, order: Order) {
         if reply.is_closed() {
             // Given up before the hand heard of it.
             return;

@@ -66,7 +66,7 @@ impl Default for RecoveryConfig {
             longest_backoff_s: 5.0,
             empty_frames: 2,
             no_grasp_frames: 12,
-            failures_in_a_row: 10,
+            failures_in_a_row: 20,
         }
     }
 }

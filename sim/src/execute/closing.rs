@@ -92,7 +92,11 @@ impl Closing {
         let ways = order.from.iter().zip(&order.contact).zip(&targets);
         // A finger that is beyond contact already waits there: opened again, it might let go.
         let meeting = ways
-            .map(|((&from, &contact), to)| if (from - contact) * (to - contact) > 0.0 { from } else { contact })
+            .map(
+                |((&from, &contact), to)| {
+                    if (from - contact) * (to - contact) > 0.0 { from } else { contact }
+                },
+            )
             .collect();
         Some(Self { order, closers, meeting, targets, full, step: 0, told: false })
     }

@@ -11,8 +11,8 @@ pub use picture::{RgbImage, depth_picture, picture};
 use nalgebra::Isometry3;
 
 use collect::Sight;
-use raster::{NOTHING, Piece, Raster};
 pub(crate) use raster::refill;
+use raster::{NOTHING, Piece, Raster};
 
 use crate::camera::Pinhole;
 use crate::mesh::Mesh;

@@ -82,12 +82,7 @@ pub(crate) fn rasterize(lens: &Pinhole, world_from_camera: &Isometry3<f64>, piec
 impl Raster {
     /// Rasterizes pieces into the memory of what was rasterized before; both sides of each triangle are drawn.
     /// Triangles with corners that are not finite, or with indices out of range, are left out.
-    pub(crate) fn draw(
-        &mut self,
-        lens: &Pinhole,
-        world_from_camera: &Isometry3<f64>,
-        pieces: &[Piece<'_>],
-    ) {
+    pub(crate) fn draw(&mut self, lens: &Pinhole, world_from_camera: &Isometry3<f64>, pieces: &[Piece<'_>]) {
         let pixels = lens.width.saturating_mul(lens.height);
         self.facets.clear();
         refill(&mut self.inverse, pixels, 0.0);
@@ -102,9 +97,12 @@ impl Raster {
             let rotation = camera_from_piece.rotation.to_rotation_matrix();
             let translation = camera_from_piece.translation.vector;
             corners.clear();
-            corners.extend(piece.vertices.iter().map(|v| Corner::new(rotation * v.coords + translation, lens)));
+            corners
+                .extend(piece.vertices.iter().map(|v| Corner::new(rotation * v.coords + translation, lens)));
             for triangle in piece.triangles {
-                let [Some(&a), Some(&b), Some(&c)] = triangle.map(|i| corners.get(i as usize)) else { continue };
+                let [Some(&a), Some(&b), Some(&c)] = triangle.map(|i| corners.get(i as usize)) else {
+                    continue;
+                };
                 self.triangle(lens, index as u32, [a, b, c]);
             }
         }

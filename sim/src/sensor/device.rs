@@ -67,14 +67,19 @@ mod tests {
         world.add(object, &Isometry3::translation(-0.05, 0.02, 0.05));
         let mut camera = DepthCamera::new(Sensor::pico_flexx());
         let mut seen = Vec::new();
-        for (seed, eye) in [[0.0, -0.2, 0.6], [0.3, 0.1, 0.4], [0.0, 0.0, -2.0], [0.0, -0.2, 0.6]].iter().enumerate() {
+        for (seed, eye) in
+            [[0.0, -0.2, 0.6], [0.3, 0.1, 0.4], [0.0, 0.0, -2.0], [0.0, -0.2, 0.6]].iter().enumerate()
+        {
             let pose = look_at(&Point3::from(*eye), &Point3::origin(), &Vector3::z());
             let view = capture(&world, &camera.sensor().lens, &pose);
             let image = camera.sensor().observe(&view, seed as u64);
             let shot = camera.take(&world, &pose, seed as u64);
             // Where nothing is seen the depth is no number, which equals nothing.
             let same = |a: &[f32], b: &[f32]| a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()));
-            assert!(same(&shot.view.depth_m, &view.depth_m) && same(&shot.view.cos_incidence, &view.cos_incidence));
+            assert!(
+                same(&shot.view.depth_m, &view.depth_m)
+                    && same(&shot.view.cos_incidence, &view.cos_incidence)
+            );
             assert_eq!((&shot.view.instance, &shot.view.albedo), (&view.instance, &view.albedo));
             assert_eq!((&shot.view.specular, shot.view.world_from_camera), (&view.specular, pose));
             assert_eq!(shot.image, &image);

@@ -25,9 +25,8 @@ async fn leap() -> (SharedWorld, MockHand, HandId, Vec<Coordinate>) {
 /// Contact after different shares of the way of every actuator, a squeeze of a twentieth of it.
 fn uneven(actuators: &[Coordinate]) -> CloseCommand {
     let at = |extra: f64| {
-        let of = |(i, c): (usize, &Coordinate)| {
-            c.open + ([0.2, 0.6, 0.4][i % 3] + extra) * (c.closed - c.open)
-        };
+        let of =
+            |(i, c): (usize, &Coordinate)| c.open + ([0.2, 0.6, 0.4][i % 3] + extra) * (c.closed - c.open);
         actuators.iter().enumerate().map(of).collect()
     };
     CloseCommand {
@@ -87,7 +86,8 @@ async fn fingers_that_expect_the_box_elsewhere_close_until_they_hold_it() {
         let arm = arm(&shared, Faults::default()).await;
         let hand = fingers(&shared, arm.hand(), Faults::default()).await;
         arm.move_linear(&down(0.0, 0.0, 0.08), LIMITS, TEN).await.unwrap();
-        let command = CloseCommand { contact: vec![contact], squeezed: vec![contact + 4e-3], ..around_the_box() };
+        let command =
+            CloseCommand { contact: vec![contact], squeezed: vec![contact + 4e-3], ..around_the_box() };
         let state = hand.close(&command, TEN).await.unwrap();
         assert_eq!(state.held, [true], "contact expected at {contact}");
         // 12 cm open, the box is 5 cm wide: each finger has gone 3.5 cm.
