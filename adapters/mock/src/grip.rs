@@ -47,6 +47,8 @@ pub(crate) struct HandCore {
     grip: Option<(Call, Reply<HandState>, f64)>,
     /// While the fingers close on an object: what they are told from step to step.
     closing: Option<Closing>,
+    /// True from a closing on: fingers that it has brought to an object are not stopped.
+    presses_on: bool,
     driven: bool,
     /// Where the actuators were when they last moved, and when that was.
     still: Option<(Vec<f64>, f64)>,
@@ -82,6 +84,7 @@ impl Shared {
             overloaded: false,
             grip: None,
             closing: None,
+            presses_on: false,
             driven: false,
             still: None,
             rested: false,
@@ -148,6 +151,7 @@ impl HandCore {
             return Err(DeviceError::Busy { device: self.device.clone(), with: call.operation.into() });
         }
         self.closing = None;
+        self.presses_on = matches!(order, Order::Close(_));
         match order {
             Order::Grip(GripCommand { actuators, speed, force }) => {
                 let close = Command::Close { actuators: actuators.clone(), force, speed };
@@ -197,9 +201,7 @@ impl HandCore {
     fn after_step(&mut self, world: &mut World) -> bool {
         let now_s = world.time_s();
         self.rested = self.rests(world, now_s);
-        // A closing has its own end: fingers that pause on their way to contact are not at rest, and those that creep
-        // on an object when its time is over press on.
-        let closes = self.closing.is_some().then(|| self.closes(world));
+        let closes = self.closes(world);
         let Some((call, reply, began_s)) = &self.grip else { return true };
         let answer = if reply.is_closed() {
             self.stop(world);
@@ -212,10 +214,11 @@ impl HandCore {
             Err(self.overload())
         } else {
             match self.state(world) {
-                Ok(state) if closes.unwrap_or(!state.settled) && now_s < call.until_s - STOP_AHEAD_S => {
+                Ok(state) if (closes || !state.settled) && now_s < call.until_s - STOP_AHEAD_S => {
                     return false;
                 }
-                Ok(state) if closes.unwrap_or(!state.settled) => {
+                // Fingers that creep on an object when their time is up press on.
+                Ok(state) if closes || !(state.settled || self.presses_on) => {
                     let error = call.timed_out();
                     self.stop(world);
                     Err(error)
