@@ -329,7 +329,8 @@ impl Hand for Shared {
             let mut world = self.world();
             let at = world.flange.translation.vector;
             world.closed = command.actuators[0] > 0.5;
-            if world.closed && world.in_tray > 0 && at.z < 0.16 {
+            // Closing takes several grips; fingers that hold one object take no second.
+            if world.closed && world.in_hand == 0 && world.in_tray > 0 && at.z < 0.16 {
                 world.in_tray -= 1;
                 world.in_hand += 1;
             } else if !world.closed && world.in_hand > 0 {
