@@ -124,8 +124,11 @@ impl Closing {
             && last.is_multiple_of(steps(LOOK_S).max(1))
         {
             let Some(settled) = world.hand_settled(id) else { return true };
-            if (settled || last >= steps(REACHED_S)) && !self.look(world, id) && settled {
-                return true;
+            if settled || last >= steps(REACHED_S) {
+                let goes_on = self.look(world, id);
+                if settled && !goes_on {
+                    return true;
+                }
             }
         }
         if closing >= steps(self.order.close_s) {
