@@ -45,8 +45,8 @@ impl Recovery {
                 "attempt failed: stop, clear the fault, open the hand, straight back; plan again"
             }
             Self::PlanAgain => {
-                "look and plan again, with another seed, every second time with any reaching direction, later with up to \
-                 four times as many candidates"
+                "look and plan again, with another seed, every second time with any reaching direction, with the floor told \
+                 as it is and lower, with up to 16 times as many candidates"
             }
             Self::End => "end the run where everything stands, and say why",
         }

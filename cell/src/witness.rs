@@ -16,6 +16,9 @@ pub struct Witnessed {
     /// Objects that are in the hand now: wedged between its fingers, where it has opened.
     #[serde(default)]
     pub in_hand: u32,
+    /// Names of the objects that are in the tray now, where the witness knows them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remaining: Vec<String>,
 }
 
 /// Somebody who sees what the cell cannot feel.

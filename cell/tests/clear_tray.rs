@@ -167,7 +167,7 @@ async fn no_grasp_is_asked_again_otherwise_and_then_given_up_with_reasons() {
     let (report, _) = run(&shared, &config()).await;
     let End::NoGrasp { why } = &report.end else { panic!("{report:?}") };
     assert_eq!(why, "all_rejected: scripted (collision_table 31, no_contact 9)");
-    assert_eq!(report.tally.not_executed, 8);
+    assert_eq!(report.tally.not_executed, 12);
 }
 
 /// A hand with another actuator.
@@ -200,4 +200,71 @@ impl graspd_adapters_core::Hand for OtherHand {
     async fn clear_fault(&self, timeout: Duration) -> Result<(), graspd_adapters_core::DeviceError> {
         graspd_adapters_core::Hand::clear_fault(&self.0, timeout).await
     }
+}
+
+/// A hand that closes by itself, and what it was told.
+#[derive(Debug)]
+struct ClosingHand {
+    shared: Shared,
+    told: std::sync::Mutex<Vec<graspd_adapters_core::CloseCommand>>,
+}
+
+#[graspd_adapters_core::async_trait]
+impl graspd_adapters_core::Hand for ClosingHand {
+    fn info(&self) -> graspd_adapters_core::HandInfo {
+        graspd_adapters_core::Hand::info(&self.shared)
+    }
+
+    async fn state(
+        &self,
+        timeout: Duration,
+    ) -> Result<graspd_adapters_core::HandState, graspd_adapters_core::DeviceError> {
+        graspd_adapters_core::Hand::state(&self.shared, timeout).await
+    }
+
+    async fn grip(
+        &self,
+        command: &graspd_adapters_core::GripCommand,
+        timeout: Duration,
+    ) -> Result<graspd_adapters_core::HandState, graspd_adapters_core::DeviceError> {
+        // What is gripped by itself is the open posture.
+        assert_eq!(command.actuators, [0.0, 0.0]);
+        graspd_adapters_core::Hand::grip(&self.shared, command, timeout).await
+    }
+
+    async fn close(
+        &self,
+        command: &graspd_adapters_core::CloseCommand,
+        timeout: Duration,
+    ) -> Result<graspd_adapters_core::HandState, graspd_adapters_core::DeviceError> {
+        self.told.lock().unwrap().push(command.clone());
+        graspd_adapters_core::Hand::close(&self.shared, command, timeout).await
+    }
+
+    async fn clear_fault(&self, timeout: Duration) -> Result<(), graspd_adapters_core::DeviceError> {
+        graspd_adapters_core::Hand::clear_fault(&self.shared, timeout).await
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_hand_is_told_where_contact_is_expected_in_its_own_order() {
+    let shared = Shared::new(2);
+    let hand = std::sync::Arc::new(ClosingHand { shared: shared.clone(), told: std::sync::Mutex::default() });
+    let cell = graspd_cell::Cell { hand: hand.clone(), ..shared.cell() };
+    let mut config = config();
+    (config.hand.meet_s, config.hand.force) = (0.8, 0.6);
+    let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
+    let report = clear_tray(&cell, &config, &mut watcher).await.unwrap();
+    assert_eq!((report.end, report.tally.successes), (End::Empty, 2));
+    let told = hand.told.lock().unwrap();
+    let expected = graspd_adapters_core::CloseCommand {
+        contact: vec![0.6, 1.2],
+        // Each finger has one motor: they close as far as they are let.
+        squeezed: vec![1.0, 2.0],
+        farthest: vec![1.0, 2.0],
+        meet: Duration::from_millis(800),
+        speed: config.hand.speed,
+        force: 0.6,
+    };
+    assert_eq!(*told, [expected.clone(), expected]);
 }

@@ -141,7 +141,7 @@ async fn a_hand_that_never_holds_ends_the_run() {
     let shared = Shared::new(1).with_fault(Step::CheckContact, Fault::Slips, u32::MAX);
     let (report, _) = run(&shared, &config()).await;
     assert!(matches!(report.end, End::Failures { .. }), "{report:?}");
-    assert_eq!((report.tally.trials, report.tally.successes), (10, 0));
+    assert_eq!((report.tally.trials, report.tally.successes), (20, 0));
 }
 
 #[tokio::test(start_paused = true)]

@@ -14,6 +14,7 @@
 
 mod arm;
 mod camera;
+mod closing;
 mod error;
 mod hand;
 
@@ -21,4 +22,4 @@ pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits, Reached};
 pub use async_trait::async_trait;
 pub use camera::{CameraInfo, DepthCamera, DepthFrame, Lens};
 pub use error::{DeviceError, FaultKind};
-pub use hand::{GripCommand, Hand, HandInfo, HandState};
+pub use hand::{CloseCommand, GripCommand, Hand, HandInfo, HandState};

@@ -2,7 +2,8 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use graspd_adapters_core::{DeviceError, FaultKind, GripCommand, HandState};
+use graspd_adapters_core::{CloseCommand, DeviceError, FaultKind, GripCommand, HandState};
+use graspd_sim::execute::{CloseOrder, Closing};
 use graspd_sim::world::{Command, HandId, World};
 
 use crate::fault_handle::FaultHandle;
@@ -20,6 +21,17 @@ const HELD_LOAD: f64 = 0.2;
 /// A grip that does not end in time is stopped this long before, seconds, so that the answer comes in time.
 const STOP_AHEAD_S: f64 = 0.01;
 
+/// Longest time from contact until all fingers are held, seconds, as in trials of the simulation.
+const CLOSE_S: f64 = 3.0;
+
+/// What the fingers are told.
+pub(crate) enum Order {
+    /// To positions.
+    Grip(GripCommand),
+    /// To contact together, and on until they are held.
+    Close(CloseCommand),
+}
+
 /// State of one hand's controller.
 pub(crate) struct HandCore {
     device: String,
@@ -33,6 +45,10 @@ pub(crate) struct HandCore {
     target: Option<(Vec<f64>, f64)>,
     overloaded: bool,
     grip: Option<(Call, Reply<HandState>, f64)>,
+    /// While the fingers close on an object: what they are told from step to step.
+    closing: Option<Closing>,
+    /// True from a closing on: fingers that it has brought to an object are not stopped.
+    presses_on: bool,
     driven: bool,
     /// Where the actuators were when they last moved, and when that was.
     still: Option<(Vec<f64>, f64)>,
@@ -67,6 +83,8 @@ impl Shared {
             target: None,
             overloaded: false,
             grip: None,
+            closing: None,
+            presses_on: false,
             driven: false,
             still: None,
             rested: false,
@@ -78,19 +96,13 @@ impl Shared {
     }
 
     /// Begins a grip, or says why not.
-    pub(crate) fn begin(
-        &self,
-        stage: &mut Stage,
-        call: Call,
-        reply: Reply<HandState>,
-        command: &GripCommand,
-    ) {
+    pub(crate) fn begin(&self, stage: &mut Stage, call: Call, reply: Reply<HandState>, order: Order) {
         if reply.is_closed() {
             // Given up before the hand heard of it.
             return;
         }
         let mut core = self.lock();
-        if let Err(error) = core.begin(&mut stage.world, command) {
+        if let Err(error) = core.begin(&mut stage.world, order) {
             let _unheard = reply.send(Err(error));
             return;
         }
@@ -106,7 +118,7 @@ impl HandCore {
     /// What the hand reports.
     pub(crate) fn state(&self, world: &World) -> Result<HandState, DeviceError> {
         let state = world.hand_state(self.hand).ok_or_else(|| self.gone())?;
-        let settled = state.settled || self.rested;
+        let settled = (state.settled || self.rested) && self.closing.is_none();
         let held = match (&self.target, self.held_share) {
             (_, None) => Vec::new(),
             (None, Some(_)) => vec![false; self.ranges.len()],
@@ -129,30 +141,67 @@ impl HandCore {
         self.overloaded = false;
     }
 
-    fn begin(&mut self, world: &mut World, command: &GripCommand) -> Result<(), DeviceError> {
+    fn begin(&mut self, world: &mut World, order: Order) -> Result<(), DeviceError> {
         if self.overloaded {
             return Err(self.overload());
         }
-        if self.grip.as_ref().is_some_and(|(_, reply, _)| !reply.is_closed()) {
-            return Err(DeviceError::Busy { device: self.device.clone(), with: "grip".into() });
+        if let Some((call, reply, _)) = &self.grip
+            && !reply.is_closed()
+        {
+            return Err(DeviceError::Busy { device: self.device.clone(), with: call.operation.into() });
         }
-        let close = Command::Close {
-            actuators: command.actuators.clone(),
-            force: command.force,
-            speed: command.speed,
-        };
-        if !world.command(self.hand, close) {
-            return Err(self.gone());
+        self.closing = None;
+        self.presses_on = matches!(order, Order::Close(_));
+        match order {
+            Order::Grip(GripCommand { actuators, speed, force }) => {
+                let close = Command::Close { actuators: actuators.clone(), force, speed };
+                if !world.command(self.hand, close) {
+                    return Err(self.gone());
+                }
+                self.target = Some((actuators, force));
+            }
+            Order::Close(command) => {
+                let from = world.hand_state(self.hand).ok_or_else(|| self.gone())?.actuators;
+                let force = command.force;
+                let order = CloseOrder {
+                    from,
+                    contact: command.contact,
+                    squeezed: command.squeezed,
+                    farthest: command.farthest,
+                    force,
+                    speed: command.speed,
+                    meet_s: command.meet.as_secs_f64(),
+                    close_s: CLOSE_S,
+                };
+                let mut closing = Closing::new(world, self.hand, order).ok_or_else(|| self.gone())?;
+                closing.before_step(world, self.hand);
+                self.target = Some((closing.targets().to_vec(), force));
+                self.closing = Some(closing);
+            }
         }
-        self.target = Some((command.actuators.clone(), command.force));
         (self.still, self.rested) = (None, false);
         Ok(())
+    }
+
+    /// Closes on; true while the fingers are not done.
+    fn closes(&mut self, world: &mut World) -> bool {
+        let Some(closing) = &mut self.closing else { return false };
+        let done = closing.before_step(world, self.hand);
+        if let Some((target, _)) = &mut self.target {
+            target.clear();
+            target.extend_from_slice(closing.targets());
+        }
+        if done {
+            self.closing = None;
+        }
+        !done
     }
 
     /// Looks at the hand after a step; true when no grip runs any more.
     fn after_step(&mut self, world: &mut World) -> bool {
         let now_s = world.time_s();
         self.rested = self.rests(world, now_s);
+        let closes = self.closes(world);
         let Some((call, reply, began_s)) = &self.grip else { return true };
         let answer = if reply.is_closed() {
             self.stop(world);
@@ -165,8 +214,11 @@ impl HandCore {
             Err(self.overload())
         } else {
             match self.state(world) {
-                Ok(state) if !state.settled && now_s < call.until_s - STOP_AHEAD_S => return false,
-                Ok(state) if !state.settled => {
+                Ok(state) if (closes || !state.settled) && now_s < call.until_s - STOP_AHEAD_S => {
+                    return false;
+                }
+                // Fingers that creep on an object when their time is up press on.
+                Ok(state) if closes || !(state.settled || self.presses_on) => {
                     let error = call.timed_out();
                     self.stop(world);
                     Err(error)
@@ -202,6 +254,7 @@ impl HandCore {
     }
 
     fn hold(&mut self, world: &mut World, force: f64) {
+        self.closing = None;
         if let Some(state) = world.hand_state(self.hand) {
             self.target = Some((state.actuators.clone(), force));
             let command = Command::Close { actuators: state.actuators, force, speed: 1.0 };

@@ -4,14 +4,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use async_trait::async_trait;
-use graspd_adapters_core::{DeviceError, GripCommand, Hand, HandInfo, HandState};
+use graspd_adapters_core::{CloseCommand, DeviceError, GripCommand, Hand, HandInfo, HandState};
 use graspd_hands::{Coordinate, CoordinateKind};
 use graspd_sim::world::HandId;
 use serde::{Deserialize, Serialize};
 
 use crate::fault_handle::FaultHandle;
 use crate::faults::Faults;
-use crate::grip::Shared;
+use crate::grip::{Order, Shared};
 use crate::link::Link;
 use crate::shared::{SettingsError, SharedWorld, positive};
 
@@ -92,26 +92,33 @@ impl MockHand {
 
     /// What the controller refuses before anything moves.
     fn check(&self, command: &GripCommand) -> Result<(), DeviceError> {
-        let refuse = |field: String, found: String, expected: String| {
-            Err(DeviceError::OutOfRange { device: self.link.device.clone(), field, found, expected })
-        };
-        let (found, expected) = (command.actuators.len(), self.actuators.len());
+        let found = command.actuators.len();
+        let expected = self.actuators.len();
         if found != expected {
-            return refuse("actuators".into(), format!("{found} values"), format!("{expected}"));
+            return self.refuse("actuators".into(), format!("{found} values"), format!("{expected}"));
         }
-        for (target, c) in command.actuators.iter().zip(&self.actuators) {
-            // A planner's answer may lie on a limit, give or take a rounding.
-            if !(*target >= c.lower - 1e-6 && *target <= c.upper + 1e-6) {
-                let field = format!("actuators.{}", c.name);
-                return refuse(field, target.to_string(), format!("{} to {}", c.lower, c.upper));
-            }
-        }
+        self.check_range("actuators", &command.actuators)?;
         for (field, share) in [("speed", command.speed), ("force", command.force)] {
             if !(0.0..=1.0).contains(&share) {
-                return refuse(field.into(), share.to_string(), "a share from 0 to 1".into());
+                return self.refuse(field.into(), share.to_string(), "a share from 0 to 1".into());
             }
         }
         Ok(())
+    }
+
+    fn check_range(&self, list: &str, targets: &[f64]) -> Result<(), DeviceError> {
+        for (target, c) in targets.iter().zip(&self.actuators) {
+            // A planner's answer may lie on a limit, give or take a rounding.
+            if !(*target >= c.lower - 1e-6 && *target <= c.upper + 1e-6) {
+                let field = format!("{list}.{}", c.name);
+                return self.refuse(field, target.to_string(), format!("{} to {}", c.lower, c.upper));
+            }
+        }
+        Ok(())
+    }
+
+    fn refuse(&self, field: String, found: String, expected: String) -> Result<(), DeviceError> {
+        Err(DeviceError::OutOfRange { device: self.link.device.clone(), field, found, expected })
     }
 }
 
@@ -139,7 +146,31 @@ impl Hand for MockHand {
             self.link.reach(&call, true).await?;
             let (state, theirs, command) = (self.state.clone(), call.clone(), command.clone());
             let answer = self.link.shared.request(move |stage, reply| {
-                state.begin(stage, theirs, reply, &command);
+                state.begin(stage, theirs, reply, Order::Grip(command));
+            });
+            let answer = answer.await.map_err(|_| self.link.ended())?;
+            self.link.back(&call, answer).await
+        };
+        self.link.shared.bounded(&call.device, call.operation, timeout, work).await
+    }
+
+    /// Its controller brings the fingers to contact together from step to step, as in trials of the simulation
+    /// ([`graspd_sim::execute`]).
+    async fn close(&self, command: &CloseCommand, timeout: Duration) -> Result<HandState, DeviceError> {
+        let call = self.link.call("close", timeout);
+        let work = async {
+            command.check(&self.info)?;
+            for (list, targets) in [
+                ("contact", &command.contact),
+                ("squeezed", &command.squeezed),
+                ("farthest", &command.farthest),
+            ] {
+                self.check_range(list, targets)?;
+            }
+            self.link.reach(&call, true).await?;
+            let (state, theirs, command) = (self.state.clone(), call.clone(), command.clone());
+            let answer = self.link.shared.request(move |stage, reply| {
+                state.begin(stage, theirs, reply, Order::Close(command));
             });
             let answer = answer.await.map_err(|_| self.link.ended())?;
             self.link.back(&call, answer).await

@@ -17,6 +17,8 @@ impl CellConfig {
         positive("arm.speed_m_s", self.arm.speed_m_s, 10.0)?;
         positive("arm.acceleration_m_s2", self.arm.acceleration_m_s2, 100.0)?;
         positive("arm.approach_speed_m_s", self.arm.approach_speed_m_s, 10.0)?;
+        positive("arm.lift_speed_m_s", self.arm.lift_speed_m_s, 10.0)?;
+        positive("hand.meet_s", self.hand.meet_s, 60.0)?;
         positive("arm.carry_speed_m_s", self.arm.carry_speed_m_s, 10.0)?;
         let t = &self.timeouts;
         for (field, value) in [

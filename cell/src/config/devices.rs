@@ -92,6 +92,8 @@ pub struct ArmConfig {
     pub acceleration_m_s2: f64,
     /// Speed of the straight approach, and of the way back, metres per second.
     pub approach_speed_m_s: f64,
+    /// Speed of the lift, metres per second.
+    pub lift_speed_m_s: f64,
     /// Speed with an object in the hand, metres per second.
     pub carry_speed_m_s: f64,
     /// Settings of the adapter.
@@ -105,6 +107,7 @@ impl Default for ArmConfig {
             speed_m_s: 0.5,
             acceleration_m_s2: 1.5,
             approach_speed_m_s: 0.1,
+            lift_speed_m_s: 0.15,
             carry_speed_m_s: 0.25,
             settings: toml::Table::new(),
         }
@@ -119,7 +122,9 @@ pub struct HandConfig {
     pub id: String,
     /// Adapter by name, for example `mock`.
     pub adapter: String,
-    /// Share of the speed when closing, more than 0, at most 1.
+    /// Time in which all fingers go from open to where contact is expected, to arrive there together, seconds.
+    pub meet_s: f64,
+    /// Share of the speed when opening, and when closing from contact on, more than 0, at most 1.
     pub speed: f64,
     /// Share of the force when closing, more than 0, at most 1.
     pub force: f64,
@@ -132,6 +137,7 @@ impl Default for HandConfig {
         Self {
             id: "leap".to_owned(),
             adapter: "mock".to_owned(),
+            meet_s: 0.5,
             speed: 0.5,
             force: 0.7,
             settings: toml::Table::new(),

@@ -65,8 +65,8 @@ impl Default for RecoveryConfig {
             backoff_s: 0.2,
             longest_backoff_s: 5.0,
             empty_frames: 2,
-            no_grasp_frames: 8,
-            failures_in_a_row: 10,
+            no_grasp_frames: 12,
+            failures_in_a_row: 20,
         }
     }
 }

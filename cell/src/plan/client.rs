@@ -70,6 +70,7 @@ impl GraspPlanner for PlannerClient {
                     name: a.name.clone(),
                     open: a.open_position,
                     closed: a.closed_position,
+                    limits: [a.min_position, a.max_position],
                 })
                 .collect(),
             fingers: hand.fingers.len(),

@@ -69,9 +69,24 @@ pub struct ActuatorFacts {
     pub open: f64,
     /// Position with the hand closed on nothing; that of `open` for one that does not close.
     pub closed: f64,
+    /// Smallest and largest position.
+    pub limits: [f64; 2],
+}
+
+impl ActuatorFacts {
+    /// The end of its range in the direction of closing; `None` for one that does not close.
+    pub fn farthest(&self) -> Option<f64> {
+        let [least, most] = self.limits;
+        (self.closed != self.open).then_some(if self.closed > self.open { most } else { least })
+    }
 }
 
 impl HandFacts {
+    /// [`ActuatorFacts::farthest`] of the actuator of that name; `None` also where there is none.
+    pub fn farthest(&self, actuator: &str) -> Option<f64> {
+        self.actuators.iter().find(|a| a.name == actuator)?.farthest()
+    }
+
     /// True when no finger has more than one motor that closes it. Such fingers close until they are held; fingers of
     /// several motors would curl into themselves that way.
     pub fn one_motor_a_finger(&self) -> bool {

@@ -16,6 +16,9 @@ impl fmt::Display for Report {
             let held =
                 t.in_hand.filter(|n| *n > 0).map_or_else(String::new, |n| format!(", {n} in the hand"));
             writeln!(f, "objects         {delivered} delivered, {lost} lost, {left} left in the tray{held}")?;
+            if !t.remaining.is_empty() {
+                writeln!(f, "left            {}", t.remaining.join(", "))?;
+            }
         }
         writeln!(
             f,

@@ -36,6 +36,9 @@ pub struct Tally {
     /// See [`Tally::delivered`].
     #[serde(default)]
     pub in_hand: Option<u32>,
+    /// Names of the objects that lie in the tray at the end, where a witness knows them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remaining: Vec<String>,
     /// Planning time of each answer, as the server measured it, seconds.
     pub plan_s: Vec<f64>,
     /// Trouble met and mended.
@@ -57,6 +60,7 @@ impl Tally {
             *self.lost.get_or_insert(0) += seen.lost;
             self.in_tray = Some(seen.in_tray);
             self.in_hand = Some(seen.in_hand);
+            self.remaining.clone_from(&seen.remaining);
         }
         match &record.outcome {
             Outcome::Success => {

@@ -35,6 +35,8 @@ pub(super) struct Attempt {
     pub(super) failed: Option<(FailureClass, String)>,
     /// The hand is among the objects: the way out is straight back along the approach.
     pub(super) inside: bool,
+    /// Where the lift goes, once it has begun.
+    pub(super) lift_to: Option<Isometry3<f64>>,
     /// The full lift is out of reach.
     pub(super) lift_short: bool,
 }
@@ -55,6 +57,7 @@ impl Attempt {
             felt: false,
             failed: None,
             inside: false,
+            lift_to: None,
             lift_short: false,
         }
     }

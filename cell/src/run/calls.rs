@@ -3,13 +3,13 @@
 use std::future::Future;
 use std::time::Duration;
 
-use graspd_adapters_core::{DeviceError, GripCommand, HandState, Limits, Reached};
+use graspd_adapters_core::{CloseCommand, DeviceError, GripCommand, HandInfo, HandState, Limits, Reached};
 use nalgebra::Isometry3;
 
 use super::Run;
 pub(super) use crate::config::seconds;
 use crate::outcome::End;
-use crate::plan::PlannerError;
+use crate::plan::{PlannedGrasp, PlannerError};
 use crate::pose::raised_to;
 use crate::steps::Trouble;
 
@@ -74,6 +74,15 @@ pub(super) async fn answered<T>(
     tokio::time::timeout(limit + GRACE, call).await.map_err(late)?
 }
 
+/// Positions of actuators by name in the order of a hand.
+fn in_order(hand: &HandInfo, names: &[String], positions: &[f64]) -> Result<Vec<f64>, Problem> {
+    let of = |name: &String| names.iter().position(|n| n == name).and_then(|i| positions.get(i).copied());
+    hand.actuators.iter().map(of).collect::<Option<_>>().ok_or_else(|| {
+        let text = format!("actuators of a grasp: found {names:?}, expected {:?}", hand.actuators);
+        Problem::broken(Who::Planner, text)
+    })
+}
+
 /// How fast.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Pace {
@@ -81,6 +90,8 @@ pub(super) enum Pace {
     Travel,
     /// Among objects.
     Approach,
+    /// Straight up with an object.
+    Lift,
     /// With an object.
     Carry,
 }
@@ -110,6 +121,7 @@ impl Run<'_> {
         let speed_m_s = match pace {
             Pace::Travel => arm.speed_m_s,
             Pace::Approach => arm.approach_speed_m_s,
+            Pace::Lift => arm.lift_speed_m_s,
             Pace::Carry => arm.carry_speed_m_s,
         };
         Limits { speed_m_s, acceleration_m_s2: arm.acceleration_m_s2 }
@@ -150,11 +162,16 @@ impl Run<'_> {
         self.within(Who::Arm, &arm.info().name, "move_until_contact", limit, call).await
     }
 
-    /// Straight up to the height of travel; as far as it goes where that is out of reach.
-    pub(super) async fn raise(&self, pace: Pace) -> Result<(), Problem> {
+    /// Where the hand is.
+    pub(super) async fn flange(&self) -> Result<Isometry3<f64>, Problem> {
         let (arm, limit) = (&self.cell.arm, seconds(self.config.timeouts.state_s));
         let state = self.within(Who::Arm, &arm.info().name, "state", limit, arm.state(limit)).await?;
-        let here = state.world_from_flange;
+        Ok(state.world_from_flange)
+    }
+
+    /// Straight up to the height of travel; as far as it goes where that is out of reach.
+    pub(super) async fn raise(&self, pace: Pace) -> Result<(), Problem> {
+        let here = self.flange().await?;
         let up = raised_to(&here, &self.facts.tool_point, self.places.travel_m);
         if (up.translation.vector.z - here.translation.vector.z) < 1e-3 {
             return Ok(());
@@ -189,12 +206,7 @@ impl Run<'_> {
     pub(super) async fn grip(&self, names: &[String], positions: &[f64]) -> Result<HandState, Problem> {
         let (hand, limit) = (&self.cell.hand, seconds(self.config.timeouts.grip_s));
         let info = hand.info();
-        let of = |name: &String| names.iter().position(|n| n == name).and_then(|i| positions.get(i).copied());
-        let actuators: Option<Vec<f64>> = info.actuators.iter().map(of).collect();
-        let Some(actuators) = actuators else {
-            let text = format!("actuators of a grasp: found {names:?}, expected {:?}", info.actuators);
-            return Err(Problem::broken(Who::Planner, text));
-        };
+        let actuators = in_order(&info, names, positions)?;
         let command = GripCommand { actuators, speed: self.config.hand.speed, force: self.config.hand.force };
         self.within(Who::Hand, &info.name, "grip", limit, hand.grip(&command, limit)).await
     }
@@ -206,10 +218,36 @@ impl Run<'_> {
         names: &[String],
         positions: &[f64],
     ) -> Result<HandState, Problem> {
-        let problem = match self.grip(names, positions).await {
-            Ok(state) => return Ok(state),
+        let gripped = self.grip(names, positions).await;
+        self.or_answers(gripped).await
+    }
+
+    /// Closes the fingers on an object; see [`Run::grip_against`] for what is no trouble.
+    pub(super) async fn close_hand(
+        &self,
+        grasp: &PlannedGrasp,
+        squeezed: &[f64],
+        farthest: &[f64],
+    ) -> Result<HandState, Problem> {
+        let (hand, limit) = (&self.cell.hand, seconds(self.config.timeouts.grip_s));
+        let (info, settings) = (hand.info(), &self.config.hand);
+        let list = |positions| in_order(&info, &grasp.actuators, positions);
+        let command = CloseCommand {
+            contact: list(&grasp.contact)?,
+            squeezed: list(squeezed)?,
+            farthest: list(farthest)?,
+            meet: seconds(settings.meet_s),
+            speed: settings.speed,
+            force: settings.force,
+        };
+        let closed = self.within(Who::Hand, &info.name, "close", limit, hand.close(&command, limit)).await;
+        self.or_answers(closed).await
+    }
+
+    async fn or_answers(&self, done: Result<HandState, Problem>) -> Result<HandState, Problem> {
+        let problem = match done {
             Err(problem) if problem.trouble == Trouble::NoAnswer => problem,
-            Err(problem) => return Err(problem),
+            done => return done,
         };
         match self.hand_state().await {
             Ok(state) => {

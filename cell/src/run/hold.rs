@@ -5,53 +5,20 @@ use super::{Next, Run};
 use crate::outcome::{Holding, Outcome};
 use crate::steps::{Step, Trouble};
 
-/// Fingers that have met too little close by one more squeeze, so often.
-const MORE_SQUEEZES: u32 = 8;
-/// Motors that must be held before a hand of several closing motors stops closing.
-const HELD_MOTORS: usize = 2;
-
 impl Run<'_> {
-    /// All fingers at once, until they are held (Supplementary Note 7). Where each has one motor they close as far as
-    /// they go with their limited force. Fingers of several motors go to the planned squeeze, and on from there, all
-    /// joints in proportion, while too little holds them.
+    /// All fingers together to where contact is expected, and on until they are held (Supplementary Note 7). Where each
+    /// has one motor they close as far as they go with their limited force. Fingers of several motors go to the planned
+    /// squeeze, and on from there, all joints in proportion, while too little holds them.
     pub(super) async fn close(&mut self) -> Result<Next, Problem> {
         self.holding = Holding::Unknown;
         let grasp = self.chosen()?.clone();
-        let closed = |name: &String| {
-            let facts = self.facts.actuators.iter().find(|a| a.name == *name && a.open != a.closed);
-            facts.map(|a| a.closed)
-        };
-        let limits: Vec<Option<f64>> = grasp.actuators.iter().map(closed).collect();
-        let mut told = grasp.squeezed.clone();
-        if self.facts.one_motor_a_finger() {
-            for (to, limit) in told.iter_mut().zip(&limits) {
-                *to = limit.unwrap_or(*to);
-            }
-        }
-        self.attempt.told = Some(told.clone());
-        let mut state = self.grip_against(&grasp.actuators, &told).await?;
-        for _ in 0..MORE_SQUEEZES {
-            let held = state.held.iter().filter(|h| **h).count();
-            if held >= HELD_MOTORS.min(state.held.len()) {
-                break;
-            }
-            let before = told.clone();
-            for (i, to) in told.iter_mut().enumerate() {
-                let (Some(contact), Some(squeezed)) = (grasp.contact.get(i), grasp.squeezed.get(i)) else {
-                    continue;
-                };
-                if let Some(limit) = limits.get(i).copied().flatten() {
-                    let next = *to + squeezed - contact;
-                    *to =
-                        if squeezed > contact { next.min(limit.max(*to)) } else { next.max(limit.min(*to)) };
-                }
-            }
-            if told == before {
-                break;
-            }
-            self.attempt.told = Some(told.clone());
-            state = self.grip_against(&grasp.actuators, &told).await?;
-        }
+        let ends: Vec<Option<f64>> = grasp.actuators.iter().map(|name| self.facts.farthest(name)).collect();
+        let or_end = |(&squeezed, end): (&f64, &Option<f64>)| end.unwrap_or(squeezed);
+        let farthest: Vec<f64> = grasp.squeezed.iter().zip(&ends).map(or_end).collect();
+        let squeezed =
+            if self.facts.one_motor_a_finger() { farthest.clone() } else { grasp.squeezed.clone() };
+        self.attempt.told = Some(squeezed.clone());
+        self.close_hand(&grasp, &squeezed, &farthest).await?;
         Ok(Next::Go(Step::CheckContact))
     }
 
@@ -60,17 +27,19 @@ impl Run<'_> {
         Ok(Next::Go(Step::Lift))
     }
 
-    /// Straight up.
+    /// Straight up from where the hand has closed, which is short of the grasp where something was in its way.
     pub(super) async fn lift(&mut self) -> Result<Next, Problem> {
-        let grasp = self.chosen()?;
         let target = if self.attempt.lift_short {
-            grasp.world_from_pregrasp.isometry()
-        } else {
-            let mut up = grasp.world_from_hand.isometry();
-            up.translation.vector.z += self.config.motion.lift_m;
+            self.chosen()?.world_from_pregrasp.isometry()
+        } else if let Some(up) = self.attempt.lift_to {
             up
+        } else {
+            let mut up = self.flange().await?;
+            up.translation.vector.z += self.config.motion.lift_m;
+            // Tried again, it goes on to the same height.
+            *self.attempt.lift_to.insert(up)
         };
-        self.move_linear(&target, Pace::Carry).await?;
+        self.move_linear(&target, Pace::Lift).await?;
         self.attempt.inside = false;
         Ok(Next::Go(Step::CheckHeld))
     }

@@ -4,14 +4,9 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::calls::{Pace, Problem, Who, answered, seconds};
 use super::{Next, Run};
-use crate::config::TrayConfig;
 use crate::frame::Frame;
 use crate::outcome::{Holding, Outcome};
-use crate::plan::{Question, ReachingChoice};
 use crate::steps::{Step, Trouble};
-
-/// Most candidates that a planner accepts at once.
-const MOST_CANDIDATES: u32 = 4096;
 
 impl Run<'_> {
     /// Out of the camera's view. The first time over the dropping place, where the hand opens: whatever an earlier run
@@ -67,34 +62,6 @@ impl Run<'_> {
         let rejections = if rejections.is_empty() { rejections } else { format!(" ({rejections})") };
         let text = format!("{}: {}{rejections}", why.reason.name(), why.nearest_fix);
         Err(Problem { who: Who::Planner, trouble: Trouble::NoGrasp, text })
-    }
-
-    /// The question for this attempt: a seed of its own, and every second time after no grasp any direction;
-    /// likewise for two of four trials after two failures in a row.
-    fn question(&self) -> Question {
-        let (planner, tray) = (&self.config.planner, &self.config.tray);
-        let other = (self.idle_attempts + self.tally.failures_in_a_row / 2) % 2 == 1;
-        // What is flat disappears under a floor that is told too high: an empty tray is asked about as it is.
-        let tray = TrayConfig {
-            floor_clearance_m: if self.empty_frames > 0 { 0.0 } else { tray.floor_clearance_m },
-            ..tray.clone()
-        };
-        Question {
-            hand: self.config.hand.id.clone(),
-            seed: self.config.run.seed.wrapping_add(u64::from(self.attempt.number) - 1),
-            reaching: if other { ReachingChoice::Free } else { planner.reaching },
-            max_tilt_rad: planner.max_tilt_rad.filter(|_| !other),
-            workspace: tray.workspace(),
-            region: Some(tray.region()),
-            estimator: planner.estimator.clone(),
-            // More candidates where there was no grasp: what is left may be hard to reach.
-            batch: planner.batch.saturating_mul(1 << (self.idle_attempts / 2).min(2)).min(MOST_CANDIDATES),
-            scheme: planner.scheme,
-            max_grasps: planner.max_grasps,
-            min_score: planner.min_score,
-            friction: planner.friction,
-            pregrasp_offset_m: planner.pregrasp_offset_m,
-        }
     }
 }
 

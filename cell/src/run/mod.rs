@@ -4,6 +4,7 @@ mod attempt;
 mod calls;
 mod hold;
 mod look;
+mod question;
 mod reach;
 mod recover;
 mod wrap_up;
@@ -126,6 +127,7 @@ pub async fn clear_tray(
         holding: Holding::Unknown,
         empty_frames: 0,
         idle_attempts: 0,
+        idle_since_success: 0,
         last_exposure: None,
         failed_poses: Vec::new(),
         prepared: false,
@@ -211,6 +213,8 @@ struct Run<'a> {
     empty_frames: u32,
     /// Attempts in a row that executed nothing although something was seen.
     idle_attempts: u32,
+    /// The same, also where trials that failed lie between them.
+    idle_since_success: u32,
     last_exposure: Option<u64>,
     /// Poses of grasps that failed since the last success.
     failed_poses: Vec<Isometry3<f64>>,

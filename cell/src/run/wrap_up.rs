@@ -17,12 +17,16 @@ impl Run<'_> {
         let record = self.count(outcome).await;
         let rules = &self.config.recovery;
         match record.outcome {
-            Outcome::Success => self.failed_poses.clear(),
+            Outcome::Success => {
+                self.failed_poses.clear();
+                self.idle_since_success = 0;
+            }
             Outcome::Failed { .. } => {
                 self.failed_poses.extend(record.chosen.iter().map(|c| c.grasp.world_from_hand.isometry()));
             }
             Outcome::NotExecuted { ref why } if self.empty_frames == 0 => {
                 self.idle_attempts += 1;
+                self.idle_since_success = self.idle_since_success.saturating_add(1);
                 if self.idle_attempts >= rules.no_grasp_frames {
                     return Some(End::NoGrasp { why: why.clone() });
                 }

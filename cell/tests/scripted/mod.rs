@@ -329,7 +329,8 @@ impl Hand for Shared {
             let mut world = self.world();
             let at = world.flange.translation.vector;
             world.closed = command.actuators[0] > 0.5;
-            if world.closed && world.in_tray > 0 && at.z < 0.16 {
+            // Closing takes several grips; fingers that hold one object take no second.
+            if world.closed && world.in_hand == 0 && world.in_tray > 0 && at.z < 0.16 {
                 world.in_tray -= 1;
                 world.in_hand += 1;
             } else if !world.closed && world.in_hand > 0 {
@@ -386,7 +387,12 @@ impl GraspPlanner for Shared {
             lateral: Vector3::x(),
             tool_point: Vector3::new(0.0, 0.0, 0.1),
             actuators: [("finger", 2.0), ("thumb", 1.0)]
-                .map(|(name, closed)| ActuatorFacts { name: name.into(), open: 0.0, closed })
+                .map(|(name, closed)| ActuatorFacts {
+                    name: name.into(),
+                    open: 0.0,
+                    closed,
+                    limits: [0.0, closed],
+                })
                 .into(),
             fingers: 2,
         })

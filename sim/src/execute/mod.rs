@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::world::ObjectId;
 
+pub use closing::{CloseOrder, Closing};
 pub use run::execute;
 
 /// What is to be executed: the answer of a planner, without its opinion.

@@ -1,12 +1,11 @@
 //! The phases of an execution, and what is noted in each for the verdict.
 
 use std::f64::consts::{PI, TAU};
-use std::sync::Arc;
 
 use graspd_hands::{CoordinateKind, Hand};
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::closing::Closing;
+use super::closing::{CloseOrder, Closing};
 use super::{ExecuteSettings, Failure, GraspCommand, Moment, Trial};
 use crate::world::{Command, HandContact, HandId, ObjectId, Touched, World};
 
@@ -22,14 +21,8 @@ const LOOSE_M_S: f64 = 0.1;
 const SLIPPED_M: f64 = 0.01;
 /// Contact forces are averaged over this time before the arm judges them, seconds.
 const FORCE_S: f64 = 0.01;
-/// By this time fingers have reached their commanded squeeze, or are held, seconds.
-const REACHED_S: f64 = 0.8;
 /// Stillness after the shake, seconds.
 const CALM_S: f64 = 0.3;
-/// Interval of the commands that take the fingers to contact, seconds.
-const MEET_COMMAND_S: f64 = 0.02;
-/// Time between looks at which fingers touch, seconds.
-const LOOK_S: f64 = 0.02;
 
 /// Executes a grasp with a hand that is in the world; `watch` is called at each [`Moment`].
 ///
@@ -56,7 +49,7 @@ pub fn execute(
         };
     };
     let meant = meant(world, &model, grasp);
-    let mut run = Run { world, hand, model, settings, meant };
+    let mut run = Run { world, hand, settings, meant };
     run.reach(grasp);
     watch(Moment::Before, run.world);
     let approach = run.approach(grasp);
@@ -105,7 +98,6 @@ struct Approach {
 struct Run<'a> {
     world: &'a mut World,
     hand: HandId,
-    model: Arc<Hand>,
     settings: &'a ExecuteSettings,
     meant: Option<ObjectId>,
 }
@@ -181,53 +173,20 @@ impl Run<'_> {
     }
 
     /// All fingers at once, until nothing moves any more.
-    /// Takes all fingers from open to where contact is expected so that they arrive together: a finger that came first
-    /// would push the object before the others hold against it.
-    fn meet(&mut self, grasp: &GraspCommand) {
-        let force = self.settings.grip_force;
-        let steps = self.steps(self.settings.meet_s);
-        let every = self.steps(MEET_COMMAND_S).max(1);
-        for step in 0..steps {
-            if step % every == 0 {
-                let share = (step + every).min(steps) as f64 / steps as f64;
-                let between = |(open, contact): (&f64, &f64)| open + share * (contact - open);
-                let actuators = grasp.open.iter().zip(&grasp.contact).map(between).collect();
-                self.world.command(self.hand, Command::Close { actuators, force, speed: 1.0 });
-            }
-            self.world.step();
-        }
-    }
-
     fn close(&mut self, grasp: &GraspCommand) {
-        self.meet(grasp);
-        let mut closing = Closing::new(&self.model, grasp);
-        let force = self.settings.grip_force;
-        let full = self.world.full_efforts(self.hand).unwrap_or_default();
-        let look = self.steps(LOOK_S).max(1);
-        let reached = self.steps(REACHED_S);
-        let mut told = false;
-        for step in 0..self.steps(self.settings.close_s) {
-            if !told {
-                let actuators = closing.targets().to_vec();
-                self.world.command(self.hand, Command::Close { actuators, force, speed: 1.0 });
-                told = true;
-            }
+        let order = CloseOrder {
+            from: grasp.open.clone(),
+            contact: grasp.contact.clone(),
+            squeezed: grasp.squeezed.clone(),
+            farthest: Vec::new(),
+            force: self.settings.grip_force,
+            speed: 1.0,
+            meet_s: self.settings.meet_s,
+            close_s: self.settings.close_s,
+        };
+        let Some(mut closing) = Closing::new(self.world, self.hand, order) else { return };
+        while !closing.before_step(self.world, self.hand) {
             self.world.step();
-            if step % look != 0 {
-                continue;
-            }
-            let Some(state) = self.world.hand_state(self.hand) else { return };
-            if !state.settled && step < reached {
-                continue;
-            }
-            let touching: Vec<usize> = self.object_contacts().iter().map(|c| c.link).collect();
-            let loads: Vec<f64> =
-                state.efforts.iter().zip(&full).map(|(e, full)| e / (force * full).max(1e-9)).collect();
-            if closing.go_on(&touching, &loads) {
-                told = false;
-            } else if state.settled {
-                return;
-            }
         }
     }
 

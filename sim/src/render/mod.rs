@@ -11,7 +11,8 @@ pub use picture::{RgbImage, depth_picture, picture};
 use nalgebra::Isometry3;
 
 use collect::Sight;
-use raster::Piece;
+pub(crate) use raster::refill;
+use raster::{NOTHING, Piece, Raster};
 
 use crate::camera::Pinhole;
 use crate::mesh::Mesh;
@@ -58,61 +59,130 @@ pub struct View {
 /// Rasterizes instances: the nearest surface at each pixel's centre, whichever side of it is seen. Triangles that
 /// are not finite, or refer to vertices that do not exist, are left out; so is what is nearer than a millimetre.
 pub fn render(lens: &Pinhole, world_from_camera: &Isometry3<f64>, instances: &[Instance<'_>]) -> View {
-    let pieces: Vec<_> = instances
-        .iter()
-        .map(|i| Piece {
-            vertices: &i.mesh.vertices,
-            triangles: &i.mesh.triangles,
-            world_from_piece: i.world_from_mesh,
-            id: i.id,
-            surface: i.surface,
-        })
-        .collect();
-    view(lens, world_from_camera, &pieces)
+    let mut renderer = Renderer::new();
+    renderer.render(lens, world_from_camera, instances);
+    renderer.view
 }
 
 /// What a camera sees of a world: table, tray, objects, hands. Objects have the numbers of their ids in the
 /// mask, hands [`FIRST_HAND`] plus their place in [`World::hand_ids`].
 pub fn capture(world: &World, lens: &Pinhole, world_from_camera: &Isometry3<f64>) -> View {
-    view(lens, world_from_camera, &Sight::of(world).pieces())
+    let mut renderer = Renderer::new();
+    renderer.capture(world, lens, world_from_camera);
+    renderer.view
 }
 
-fn view(lens: &Pinhole, world_from_camera: &Isometry3<f64>, pieces: &[Piece<'_>]) -> View {
-    let raster = raster::rasterize(lens, world_from_camera, pieces);
-    let pixels = raster.facet.len();
-    let (mut instance, mut cos_incidence) = (vec![BACKGROUND; pixels], vec![0.0; pixels]);
-    let (mut albedo, mut specular) = (vec![0.0; pixels], vec![0.0; pixels]);
-    let seen: Vec<_> =
-        pieces.iter().map(|p| (p.id, p.surface.albedo as f32, p.surface.specular as f32)).collect();
-    for (i, &facet) in raster.facet.iter().enumerate() {
-        let Some(facet) = raster.facets.get(facet as usize) else { continue };
-        (instance[i], albedo[i], specular[i]) = seen[facet.piece as usize];
-        cos_incidence[i] = facet.distance;
+/// Renders view after view in the same memory. Getting fresh memory for every view takes about as long as drawing
+/// it: an image has several million bytes, and the system hands them out, zeroed, page by page.
+#[derive(Debug, Clone)]
+pub struct Renderer {
+    raster: Raster,
+    view: View,
+    /// Slopes of the rays of each column.
+    columns: Vec<f32>,
+}
+
+impl Default for Renderer {
+    fn default() -> Self {
+        Self::new()
     }
-    let x: Vec<f32> = (0..lens.width).map(|u| ((u as f64 - lens.cx_px) / lens.fx_px) as f32).collect();
-    // Images without columns have no rows either: a chunk must have a size.
-    let width = lens.width.max(1);
-    for (v, (cos, inverse)) in
-        cos_incidence.chunks_exact_mut(width).zip(raster.inverse.chunks_exact(width)).enumerate()
-    {
-        let y = ((v as f64 - lens.cy_px) / lens.fy_px) as f32;
-        for ((cos, inverse), x) in cos.iter_mut().zip(inverse).zip(&x) {
+}
+
+impl Renderer {
+    /// A renderer that has seen nothing yet.
+    pub fn new() -> Self {
+        let lens = Pinhole { width: 0, height: 0, fx_px: 1.0, fy_px: 1.0, cx_px: 0.0, cy_px: 0.0 };
+        let view = View {
+            lens,
+            world_from_camera: Isometry3::identity(),
+            depth_m: Vec::new(),
+            instance: Vec::new(),
+            cos_incidence: Vec::new(),
+            albedo: Vec::new(),
+            specular: Vec::new(),
+        };
+        Self { raster: Raster::default(), view, columns: Vec::new() }
+    }
+
+    /// The view that was rendered last.
+    pub fn view(&self) -> &View {
+        &self.view
+    }
+
+    /// As the function [`render`], until the next view.
+    pub fn render(
+        &mut self,
+        lens: &Pinhole,
+        world_from_camera: &Isometry3<f64>,
+        instances: &[Instance<'_>],
+    ) -> &View {
+        let pieces: Vec<_> = instances
+            .iter()
+            .map(|i| Piece {
+                vertices: &i.mesh.vertices,
+                triangles: &i.mesh.triangles,
+                world_from_piece: i.world_from_mesh,
+                id: i.id,
+                surface: i.surface,
+            })
+            .collect();
+        self.draw(lens, world_from_camera, &pieces)
+    }
+
+    /// As the function [`capture`], until the next view.
+    pub fn capture(&mut self, world: &World, lens: &Pinhole, world_from_camera: &Isometry3<f64>) -> &View {
+        self.draw(lens, world_from_camera, &Sight::of(world).pieces())
+    }
+
+    fn draw(&mut self, lens: &Pinhole, world_from_camera: &Isometry3<f64>, pieces: &[Piece<'_>]) -> &View {
+        let (raster, view) = (&mut self.raster, &mut self.view);
+        // The depth of a view is the raster's inverse depth, inverted in place.
+        std::mem::swap(&mut raster.inverse, &mut view.depth_m);
+        raster.draw(lens, world_from_camera, pieces);
+        std::mem::swap(&mut raster.inverse, &mut view.depth_m);
+        let pixels = raster.facet.len();
+        // Every pixel is written below: what is left from the last view need not be cleared.
+        view.instance.resize(pixels, BACKGROUND);
+        for list in [&mut view.cos_incidence, &mut view.albedo, &mut view.specular] {
+            list.resize(pixels, 0.0);
+        }
+        (view.lens, view.world_from_camera) = (*lens, *world_from_camera);
+        self.columns.clear();
+        self.columns.extend((0..lens.width).map(|u| ((u as f64 - lens.cx_px) / lens.fx_px) as f32));
+        // Images without columns have no rows either.
+        for row in 0..if pixels > 0 { lens.height } else { 0 } {
+            self.fill_row(row, pieces);
+        }
+        &self.view
+    }
+
+    /// What a row's pixels show, from their facets and inverse depths.
+    fn fill_row(&mut self, row: usize, pieces: &[Piece<'_>]) {
+        let (raster, view) = (&self.raster, &mut self.view);
+        let (lens, width) = (&view.lens, view.lens.width);
+        let y = ((row as f64 - lens.cy_px) / lens.fy_px) as f32;
+        let pixels = row * width..(row + 1) * width;
+        let (instance, albedo) = (&mut view.instance[pixels.clone()], &mut view.albedo[pixels.clone()]);
+        let (specular, cos) = (&mut view.specular[pixels.clone()], &mut view.cos_incidence[pixels.clone()]);
+        let facet = &raster.facet[pixels.clone()];
+        // Neighbours mostly show the same facet.
+        let mut last = (NOTHING, BACKGROUND, 0.0, 0.0, 0.0);
+        for i in 0..width {
+            if facet[i] != last.0 {
+                let shown = raster.facets.get(facet[i] as usize);
+                let piece = shown.and_then(|f| pieces.get(f.piece as usize).map(|p| (f, p)));
+                last = piece.map_or((facet[i], BACKGROUND, 0.0, 0.0, 0.0), |(f, p)| {
+                    (facet[i], p.id, p.surface.albedo as f32, p.surface.specular as f32, f.distance)
+                });
+            }
+            (instance[i], albedo[i], specular[i], cos[i]) = (last.1, last.2, last.3, last.4);
+        }
+        for ((cos, depth), x) in cos.iter_mut().zip(&mut view.depth_m[pixels]).zip(&self.columns) {
+            let inverse = *depth;
             // The plane's distance over that of the point: the ray's length at depth 1 times the depth.
             *cos = (*cos * inverse / (1.0 + x * x + y * y).sqrt()).min(1.0);
+            *depth = if inverse > 0.0 { 1.0 / inverse } else { f32::NAN };
         }
-    }
-    let mut depth_m = raster.inverse;
-    for depth in &mut depth_m {
-        *depth = if *depth > 0.0 { 1.0 / *depth } else { f32::NAN };
-    }
-    View {
-        lens: *lens,
-        world_from_camera: *world_from_camera,
-        depth_m,
-        instance,
-        cos_incidence,
-        albedo,
-        specular,
     }
 }
 

@@ -36,7 +36,7 @@ pub(crate) struct Facet {
 }
 
 /// A visibility buffer, row major.
-#[derive(Debug)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Raster {
     /// Inverse depth, 1/metres; 0 where there is nothing.
     pub(crate) inverse: Vec<f32>,
@@ -44,6 +44,8 @@ pub(crate) struct Raster {
     pub(crate) facet: Vec<u32>,
     /// The facets.
     pub(crate) facets: Vec<Facet>,
+    /// Corners of the piece at hand: kept only for its memory.
+    corners: Vec<Corner>,
 }
 
 /// A corner in the camera frame and where it projects to; the projection is NaN behind the near plane.
@@ -70,31 +72,43 @@ struct Plane {
     high: f32,
 }
 
-/// Rasterizes pieces; both sides of each triangle are drawn. Triangles with corners that are not finite, or
-/// with indices out of range, are left out.
+/// Rasterizes pieces: [`Raster::draw`] into memory of its own.
 pub(crate) fn rasterize(lens: &Pinhole, world_from_camera: &Isometry3<f64>, pieces: &[Piece<'_>]) -> Raster {
-    let pixels = lens.width.saturating_mul(lens.height);
-    let mut raster = Raster { inverse: vec![0.0; pixels], facet: vec![NOTHING; pixels], facets: Vec::new() };
-    if pixels == 0 {
-        return raster;
-    }
-    let camera_from_world = world_from_camera.inverse();
-    let mut corners = Vec::new();
-    for (index, piece) in pieces.iter().enumerate() {
-        let camera_from_piece = camera_from_world * piece.world_from_piece;
-        let rotation = camera_from_piece.rotation.to_rotation_matrix();
-        let translation = camera_from_piece.translation.vector;
-        corners.clear();
-        corners.extend(piece.vertices.iter().map(|v| Corner::new(rotation * v.coords + translation, lens)));
-        for triangle in piece.triangles {
-            let [Some(&a), Some(&b), Some(&c)] = triangle.map(|i| corners.get(i as usize)) else { continue };
-            raster.triangle(lens, index as u32, [a, b, c]);
-        }
-    }
+    let mut raster = Raster::default();
+    raster.draw(lens, world_from_camera, pieces);
     raster
 }
 
 impl Raster {
+    /// Rasterizes pieces into the memory of what was rasterized before; both sides of each triangle are drawn.
+    /// Triangles with corners that are not finite, or with indices out of range, are left out.
+    pub(crate) fn draw(&mut self, lens: &Pinhole, world_from_camera: &Isometry3<f64>, pieces: &[Piece<'_>]) {
+        let pixels = lens.width.saturating_mul(lens.height);
+        self.facets.clear();
+        refill(&mut self.inverse, pixels, 0.0);
+        refill(&mut self.facet, pixels, NOTHING);
+        if pixels == 0 {
+            return;
+        }
+        let camera_from_world = world_from_camera.inverse();
+        let mut corners = std::mem::take(&mut self.corners);
+        for (index, piece) in pieces.iter().enumerate() {
+            let camera_from_piece = camera_from_world * piece.world_from_piece;
+            let rotation = camera_from_piece.rotation.to_rotation_matrix();
+            let translation = camera_from_piece.translation.vector;
+            corners.clear();
+            corners
+                .extend(piece.vertices.iter().map(|v| Corner::new(rotation * v.coords + translation, lens)));
+            for triangle in piece.triangles {
+                let [Some(&a), Some(&b), Some(&c)] = triangle.map(|i| corners.get(i as usize)) else {
+                    continue;
+                };
+                self.triangle(lens, index as u32, [a, b, c]);
+            }
+        }
+        self.corners = corners;
+    }
+
     fn triangle(&mut self, lens: &Pinhole, piece: u32, corners: [Corner; 3]) {
         let [a, b, c] = corners;
         let in_front = corners.iter().filter(|c| c.p.z >= NEAR_M).count();
@@ -183,6 +197,12 @@ impl Raster {
             *facet = if nearer { id } else { *facet };
         }
     }
+}
+
+/// Sets a list to one value, in the memory that it has: fresh memory costs more than drawing into it.
+pub(crate) fn refill<T: Copy>(list: &mut Vec<T>, length: usize, value: T) {
+    list.clear();
+    list.resize(length, value);
 }
 
 fn slope(from: &Corner, to: &Corner) -> f64 {

@@ -8,10 +8,12 @@
 //! while the device warms up, motion during the exposure.
 
 mod config;
+mod device;
 mod observe;
 mod presets;
 
 pub use config::{Amplitude, Axial, Edges, Grazing, Lateral, Range, Sensor, SensorError, Shiny, Systematic};
+pub use device::{DepthCamera, Shot};
 
 /// A depth image as a driver delivers it.
 #[derive(Debug, Clone, PartialEq)]

@@ -3,12 +3,14 @@
 //! Each row has its own stream of random numbers, derived from the seed and the row: an image depends on nothing
 //! but its view, its sensor and its seed.
 
+use std::ops::Range;
+
 use rand::{Rng, RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::{DepthImage, Sensor};
-use crate::render::View;
+use crate::render::{View, refill};
 
 impl Sensor {
     /// One exposure. The seed decides the noise; the same seed gives the same image.
@@ -16,22 +18,42 @@ impl Sensor {
     /// The view decides the size of the image and the rays; it is normally rendered with this sensor's lens. A view
     /// whose lists do not have one value per pixel gives an image without returns.
     pub fn observe(&self, view: &View, seed: u64) -> DepthImage {
+        let mut image = DepthImage { width: 0, height: 0, depth_m: Vec::new() };
+        self.observe_into(view, seed, &mut Buffers::default(), &mut image);
+        image
+    }
+
+    /// As [`Sensor::observe`], in the memory of an image that was taken before.
+    pub(super) fn observe_into(&self, view: &View, seed: u64, buffers: &mut Buffers, image: &mut DepthImage) {
         let (width, height) = (view.lens.width, view.lens.height);
         let pixels = width.saturating_mul(height);
         let lengths = [view.depth_m.len(), view.cos_incidence.len(), view.albedo.len(), view.specular.len()];
+        (image.width, image.height) = (width, height);
         if pixels == 0 || lengths != [pixels; 4] {
-            return DepthImage { width, height, depth_m: vec![0.0; pixels.min(view.depth_m.len())] };
+            refill(&mut image.depth_m, pixels.min(view.depth_m.len()), 0.0);
+            return;
         }
-        let exposure = Exposure::new(self, view);
-        let mut known = Known::new(width);
-        let mut depth_m = vec![0.0; pixels];
-        for (row, out) in depth_m.chunks_exact_mut(width).enumerate() {
+        image.depth_m.resize(pixels, 0.0);
+        let Buffers { inverse, edge, narrow, known } = buffers;
+        let exposure = Exposure::new(self, view, inverse, edge, narrow);
+        known.resize(width);
+        for (row, out) in image.depth_m.chunks_exact_mut(width).enumerate() {
             let mut rng = Xoshiro256PlusPlus::seed_from_u64(mix(mix(seed) ^ row as u64));
-            known.prepare(&exposure, row);
-            exposure.row(row, &known, out, &mut rng);
+            out.fill(0.0);
+            let (first, last) = lit(&self.illumination, &view.lens, row);
+            known.prepare(&exposure, row, first..last.max(first));
+            exposure.row(row, first..last, known, out, &mut rng);
         }
-        DepthImage { width, height, depth_m }
     }
+}
+
+/// Memory that an exposure needs besides its image.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Buffers {
+    inverse: Vec<f32>,
+    edge: Vec<bool>,
+    narrow: Vec<bool>,
+    known: Known,
 }
 
 /// The widest band of flying pixels on one side of an edge; also the limit of [`Sensor::check`].
@@ -54,34 +76,46 @@ struct Exposure<'a> {
     view: &'a View,
     sensor: &'a Sensor,
     /// Inverse depth, 0 where there is nothing: linear along planes.
-    inverse: Vec<f32>,
+    inverse: &'a [f32],
     /// Where depth jumps.
-    edge: Vec<bool>,
+    edge: &'a [bool],
     systematic: Systematic,
     blur: f32,
     jitter: f32,
 }
 
 impl<'a> Exposure<'a> {
-    fn new(sensor: &'a Sensor, view: &'a View) -> Self {
-        let inverse: Vec<f32> =
-            view.depth_m.iter().map(|&z| if z > 0.0 && z < f32::MAX { 1.0 / z } else { 0.0 }).collect();
-        let edge = edges(&inverse, &view.lens, sensor.edges.step_m as f32, sensor.edges.reach_px);
+    fn new(
+        sensor: &'a Sensor,
+        view: &'a View,
+        inverse: &'a mut Vec<f32>,
+        edge: &'a mut Vec<bool>,
+        narrow: &mut Vec<bool>,
+    ) -> Self {
+        inverse.clear();
+        inverse.extend(view.depth_m.iter().map(|&z| if z > 0.0 && z < f32::MAX { 1.0 / z } else { 0.0 }));
+        edges(inverse, &view.lens, sensor.edges.step_m as f32, sensor.edges.reach_px, edge, narrow);
         // The standard deviation of a uniform number is its range over the square root of 12.
         let jitter = (sensor.lateral.jitter_px * 12f64.sqrt()) as f32;
         let systematic = Systematic::new(&sensor.systematic);
         Self { view, sensor, inverse, edge, systematic, blur: sensor.lateral.blur as f32, jitter }
     }
 
-    /// One row of the image; `out` begins as zeros.
-    fn row(&self, row: usize, known: &Known, out: &mut [f32], rng: &mut Xoshiro256PlusPlus) {
+    /// One row of the image, its lit columns; `out` begins as zeros.
+    fn row(
+        &self,
+        row: usize,
+        columns: Range<usize>,
+        known: &Known,
+        out: &mut [f32],
+        rng: &mut Xoshiro256PlusPlus,
+    ) {
         let width = self.view.lens.width;
-        let (first, last) = lit(&self.sensor.illumination, &self.view.lens, row);
         let start = row * width;
         let depth = &self.view.depth_m[start..start + width];
         let edge = &self.edge[start..start + width];
         let inner = row > 0 && row + 1 < self.view.lens.height;
-        for (column, out) in out.iter_mut().enumerate().take(last).skip(first) {
+        for (column, out) in out.iter_mut().enumerate().take(columns.end).skip(columns.start) {
             let returns = known.returns[column];
             // Also where the share is not a number.
             if !(returns >= 1.0 || (returns > 0.0 && unit(rng.next_u32()) < returns)) {
@@ -155,12 +189,19 @@ impl<'a> Exposure<'a> {
 /// Pixels within `reach` of a jump in depth of more than `step_m`.
 ///
 /// The second difference of the inverse depth is zero along planes, however slanted, and large on both sides of a
-/// jump.
-fn edges(inverse: &[f32], lens: &crate::camera::Pinhole, step_m: f32, reach: usize) -> Vec<bool> {
+/// jump. `narrow` is memory for the band as it was.
+fn edges(
+    inverse: &[f32],
+    lens: &crate::camera::Pinhole,
+    step_m: f32,
+    reach: usize,
+    edge: &mut Vec<bool>,
+    narrow: &mut Vec<bool>,
+) {
     let (width, height) = (lens.width, lens.height);
-    let mut edge = vec![false; inverse.len()];
+    refill(edge, inverse.len(), false);
     if width < 3 || height < 3 {
-        return edge;
+        return;
     }
     // A jump of s at depth z changes the inverse depth by s / (z (z + s)), seen from either side.
     let jumps = |change: f32, here: f32| change > step_m * here * here / (1.0 + step_m * here);
@@ -181,7 +222,7 @@ fn edges(inverse: &[f32], lens: &crate::camera::Pinhole, step_m: f32, reach: usi
         }
     }
     for _ in 1..reach.min(MAX_REACH_PX) {
-        let narrow = edge.clone();
+        narrow.clone_from(edge);
         for i in (0..edge.len()).filter(|i| narrow[*i]) {
             let (row, column) = (i / width, i % width);
             edge[row * width + column.saturating_sub(1)] = true;
@@ -190,7 +231,6 @@ fn edges(inverse: &[f32], lens: &crate::camera::Pinhole, step_m: f32, reach: usi
             edge[(row + 1).min(height - 1) * width + column] = true;
         }
     }
-    edge
 }
 
 /// First and one past the last lit column of a row.
@@ -211,6 +251,7 @@ fn lit(polygon: &[[f64; 2]], lens: &crate::camera::Pinhole, row: usize) -> (usiz
 }
 
 /// What is known of each pixel of a row before any chance comes in.
+#[derive(Debug, Clone, Default)]
 struct Known {
     /// Probability of a return.
     returns: Vec<f32>,
@@ -221,14 +262,16 @@ struct Known {
 }
 
 impl Known {
-    fn new(width: usize) -> Self {
-        let [returns, sigma, bias] = [(); 3].map(|()| vec![0.0; width]);
-        Self { returns, sigma, bias }
+    fn resize(&mut self, width: usize) {
+        for list in [&mut self.returns, &mut self.sigma, &mut self.bias] {
+            list.resize(width, 0.0);
+        }
     }
 
-    fn prepare(&mut self, exposure: &Exposure<'_>, row: usize) {
-        let (sensor, view, width) = (exposure.sensor, exposure.view, self.returns.len());
-        let row = row * width..(row + 1) * width;
+    /// What is known of some columns of a row; what is left of another row stays elsewhere.
+    fn prepare(&mut self, exposure: &Exposure<'_>, row: usize, columns: Range<usize>) {
+        let (sensor, view, start) = (exposure.sensor, exposure.view, row * self.returns.len());
+        let row = start + columns.start..start + columns.end;
         let (depth, inverse) = (&view.depth_m[row.clone()], &exposure.inverse[row.clone()]);
         let (cos, albedo) = (&view.cos_incidence[row.clone()], &view.albedo[row.clone()]);
         let specular = &view.specular[row];
@@ -243,19 +286,20 @@ impl Known {
         let (constant, linear, quadratic) =
             (square(axial.floor_m), square(axial.linear), square(axial.quadratic));
         let cap = axial.cap_m as f32;
-        for i in 0..width {
+        let (returns, sigma) = (&mut self.returns[columns.clone()], &mut self.sigma[columns.clone()]);
+        for i in 0..depth.len() {
             let (z, inverse, cos, specular) = (depth[i], inverse[i], cos[i], specular[i]);
             let light = albedo[i] * (1.0 - specular) * cos;
             let amplitude = light * inverse * inverse;
             let fourth = (cos * cos) * (cos * cos);
             let shiny = (specular * (anywhere + facing * fourth * fourth)).clamp(0.0, 1.0);
             let share = by_amplitude.at(amplitude) * by_angle.at(cos) * (1.0 - shiny);
-            self.returns[i] = if inverse > 0.0 && amplitude <= ceiling { share } else { 0.0 };
+            returns[i] = if inverse > 0.0 && amplitude <= ceiling { share } else { 0.0 };
             let squared = z * z;
             let noise = (linear + quadratic * squared) * squared / light.max(1e-6);
-            self.sigma[i] = (constant + noise).sqrt().min(cap);
+            sigma[i] = (constant + noise).sqrt().min(cap);
         }
-        exposure.systematic.fill(depth, &mut self.bias);
+        exposure.systematic.fill(depth, &mut self.bias[columns]);
     }
 }
 

@@ -5,6 +5,8 @@ mod arm;
 #[cfg(test)]
 mod camera;
 #[cfg(test)]
+mod closing;
+#[cfg(test)]
 mod fixtures;
 #[cfg(test)]
 mod hand;

@@ -210,6 +210,7 @@ impl Witness for SimulatedTruth {
             lost: since(now.1, last.1),
             in_tray: census.tray.len() as u32,
             in_hand: census.held.len() as u32,
+            remaining: census.tray.iter().map(|object| object.name.clone()).collect(),
         };
         *last = now;
         witnessed

@@ -227,6 +227,11 @@ impl World {
         })
     }
 
+    /// [`HandState::settled`] alone; `None` when the hand is not in the world.
+    pub fn hand_settled(&self, id: HandId) -> Option<bool> {
+        Some(self.placed_hand(id)?.motors.settled())
+    }
+
     /// Full effort of each actuator, newtons or newton metres: as published, or what its fingertip force makes of it.
     pub fn full_efforts(&self, id: HandId) -> Option<Vec<f64>> {
         let placed = self.placed_hand(id)?;
