@@ -180,7 +180,6 @@ impl Run<'_> {
         out
     }
 
-    /// All fingers at once, until nothing moves any more.
     /// Takes all fingers from open to where contact is expected so that they arrive together: a finger that came first
     /// would push the object before the others hold against it.
     fn meet(&mut self, grasp: &GraspCommand) {
@@ -198,6 +197,7 @@ impl Run<'_> {
         }
     }
 
+    /// All fingers at once, until nothing moves any more.
     fn close(&mut self, grasp: &GraspCommand) {
         self.meet(grasp);
         let mut closing = Closing::new(&self.model, grasp);
