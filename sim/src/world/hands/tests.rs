@@ -243,6 +243,36 @@ fn an_adaptive_finger_wraps_when_its_first_phalanx_is_stopped() {
 }
 
 #[test]
+fn what_fingertips_hold_stays_where_they_hold_it() {
+    let hand = library_hand("robotiq-3f");
+    let mut world = World::new(WorldSettings::default());
+    // A light round bar between two fingertips and one: each bends a phalanx back against its stop.
+    let lying = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), PI / 2.0);
+    let at = Isometry3::from_parts(Vector3::new(0.0, 0.0, 0.02).into(), lying);
+    let object = world.add(cylinder(0.02, 0.045, 0.04), &at);
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+    let wrist = |z: f64| Isometry3::from_parts(Vector3::new(0.0, 0.0, z).into(), down);
+    let placed = world.add_hand(hand.clone(), &wrist(0.1845), &hand.actuation.open());
+    let actuators = vec![-0.178, 1.2, 1.2, 1.2];
+    world.command(placed, Command::Close { actuators, force: 0.7, speed: 0.5 });
+    run(&mut world, 2.0);
+    let up = wrist(0.28);
+    world.command(placed, Command::Move { world_from_hand: up, speed_m_s: 0.15, turn_rad_s: 1.0 });
+    run(&mut world, 1.5);
+    let in_hand = |world: &World| {
+        world.hand_state(placed).unwrap().world_from_hand.inverse() * world.pose(object).unwrap()
+    };
+    let before = in_hand(&world);
+    run(&mut world, 3.0);
+    let slid = before.inverse() * in_hand(&world);
+    let links: std::collections::BTreeSet<usize> =
+        world.hand_contacts(placed).iter().map(|c| c.link).collect();
+    let (way, turn) = (slid.translation.vector.norm(), slid.rotation.angle());
+    assert!(way < 3e-3 && turn < 0.05, "slid {way} m and turned {turn} rad in 3 s");
+    assert_eq!(links.len(), 3);
+}
+
+#[test]
 fn the_arm_presses_on_the_table_with_no_more_than_its_force() {
     let hand = library_hand("panda");
     let mut world = World::new(WorldSettings::default());
