@@ -4,8 +4,12 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use graspd_sim::camera::look_at;
 use graspd_sim::clutter::{Arrangement, arrange, assortment, is_at_rest};
+use graspd_sim::render::capture;
+use graspd_sim::sensor::Sensor;
 use graspd_sim::world::{Tray, WorldSettings};
+use nalgebra::{Point3, Vector3};
 
 fn main() {
     divan::main();
@@ -21,8 +25,7 @@ fn scene(bencher: divan::Bencher<'_, '_>, objects: usize, how: Arrangement) {
         })
         .bench_values(|(objects, seed)| {
             let world = arrange(&settings, &objects, how, seed);
-            assert_eq!(world.ids().len(), objects.len());
-            is_at_rest(&world)
+            world.is_ok_and(|world| world.ids().len() == objects.len() && is_at_rest(&world))
         });
 }
 
@@ -34,6 +37,23 @@ fn pile(bencher: divan::Bencher<'_, '_>, objects: usize) {
 #[divan::bench(args = [5, 12], sample_count = 30, sample_size = 1)]
 fn packed(bencher: divan::Bencher<'_, '_>, objects: usize) {
     scene(bencher, objects, Arrangement::Packed);
+}
+
+/// Data for learning: a pile of twelve poured, and ten frames of it with a camera's faults.
+#[divan::bench(sample_count = 10, sample_size = 1)]
+fn pour_and_take_ten_frames(bencher: divan::Bencher<'_, '_>) {
+    let settings = WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() };
+    let sensor = Sensor::azure_kinect();
+    let eye = look_at(&Point3::new(0.25, 0.0, 0.7), &Point3::origin(), &Vector3::z());
+    let seed = AtomicU64::new(0);
+    bencher.bench(|| {
+        let seed = seed.fetch_add(1, Ordering::Relaxed);
+        let world = arrange(&settings, &assortment(12, seed), Arrangement::Pile, seed);
+        world.map(|world| {
+            let frame = |noise| sensor.observe(&capture(&world, &sensor.lens, &eye), noise);
+            (0..10).map(frame).collect::<Vec<_>>()
+        })
+    });
 }
 
 #[divan::bench(sample_count = 100)]

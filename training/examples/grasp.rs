@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     // The world, and what its camera sees of it.
     let station = Station::tray();
-    let mut world = arrange(&station.world, &draw(count, OPENING_M, seed), Arrangement::Pile, seed);
+    let mut world = arrange(&station.world, &draw(count, OPENING_M, seed), Arrangement::Pile, seed)?;
     let frame = station.frame(&world, seed);
 
     // What the planner makes of the frame alone.

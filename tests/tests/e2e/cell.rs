@@ -53,7 +53,7 @@ impl Drop for Folder {
 
 async fn cell(endpoint: &str) -> (Cell, SharedWorld) {
     let settings = WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() };
-    let world = arrange(&settings, &assortment(OBJECTS, 1), Arrangement::Pile, 1);
+    let world = arrange(&settings, &assortment(OBJECTS, 1), Arrangement::Pile, 1).unwrap();
     let shared = SharedWorld::new(world, SharedWorldSettings::default()).unwrap();
     let hand = library::hand("robotiq-2f85").unwrap();
     let home = Isometry3::translation(0.40, 0.0, 0.6);

@@ -9,6 +9,7 @@ mod station;
 // Trays cleared by every hand.
 mod attempt;
 mod clear;
+mod contents;
 mod replay;
 mod report;
 
@@ -52,6 +53,9 @@ pub enum EvaluationError {
     /// A trial's file cannot be read.
     #[error("the trial cannot be read")]
     Trial(#[from] serde_json::Error),
+    /// The objects find no place in the tray.
+    #[error("the objects cannot be poured")]
+    Arrange(#[from] graspd_sim::clutter::ArrangeError),
     /// The system gives no threads.
     #[error("no threads")]
     Threads(#[from] rayon::ThreadPoolBuildError),

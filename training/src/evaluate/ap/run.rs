@@ -10,7 +10,7 @@ use graspd_planner::estimator::ContactEstimator;
 use graspd_planner::grasp::Grasp;
 use graspd_planner::options::{PlanOptions, Scheme, VolumeKind};
 use graspd_planner::{plan, scene};
-use graspd_sim::clutter::{Arrangement, arrange, assortment};
+use graspd_sim::clutter::assortment;
 use graspd_sim::object::Object;
 use graspd_sim::world::World;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -205,7 +205,7 @@ fn look_around(
     let count = least + (derive(seed, &[0]) % (most - least + 1) as u64) as usize;
     let objects = assortment(count, derive(seed, &[1]));
     let table = Station::table(&Point3::new(0.0, 0.0, 0.75));
-    let world = arrange(&table.world, &objects, Arrangement::Pile, derive(seed, &[2]));
+    let world = table.poured(&objects, derive(seed, &[2]))?;
     let exact = Exact::of(&world);
     let mut views = Vec::new();
     for view in 0..settings.views {
