@@ -67,6 +67,7 @@ impl Closing {
             let links = moved(hand, i);
             let mut fingers: Vec<usize> =
                 hand.pads.iter().filter(|p| links.contains(&p.link)).map(|p| p.finger).collect();
+            fingers.sort_unstable();
             fingers.dedup();
             let limit = if sign > 0.0 { c.upper } else { c.lower };
             closers.push(Closer { actuator: a, links, fingers, limit, squeeze, shared: false, beyond: 0.0 });

@@ -1,6 +1,7 @@
 //! Executing one grasp, as the paper's Task 1 does: approach, close, lift, hold, shake (Supplementary Note 7).
 
 mod closing;
+mod place;
 mod run;
 #[cfg(test)]
 mod tests;
@@ -9,7 +10,10 @@ use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
 use crate::world::ObjectId;
+#[cfg(doc)]
+use crate::world::WristForce;
 
+pub use place::set_down;
 pub use run::execute;
 
 /// What is to be executed: the answer of a planner, without its opinion.
@@ -32,9 +36,9 @@ pub struct GraspCommand {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Failure {
-    /// The hand hit the table or the tray on its way (Fig. 8b).
+    /// The hand hit the table or the tray on its way, or stood in them when it was set down (Fig. 8b).
     CollisionTable,
-    /// The hand pushed an object away on its way (Fig. 8c).
+    /// The hand pushed an object away on its way, or stood in one when it was set down (Fig. 8c).
     CollisionObject,
     /// The object slipped away while the fingers closed (Fig. 8e).
     LostClosing,
@@ -66,7 +70,7 @@ pub struct ExecuteSettings {
     pub shake_hz: f64,
     /// Cycles of the shake along each of x, y and z.
     pub shake_cycles: f64,
-    /// Force on table, tray or an object at which the arm stops its approach, newtons (a guarded move).
+    /// Force at the wrist at which the arm stops its approach, newtons (a guarded move); see [`WristForce`].
     pub stop_force_n: f64,
     /// How far the meant object may be pushed during the approach before that is a collision, metres.
     pub push_m: f64,
