@@ -50,9 +50,10 @@ pub enum Failure {
     LostShaking,
 }
 
-/// How a grasp is executed.
+/// How a grasp is executed. In a file every field must be there: what a newer program filled in would be another
+/// motion than the one that was recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct ExecuteSettings {
     /// Share of the actuators' effort while gripping.
     pub grip_force: f64,
