@@ -17,10 +17,11 @@ mod report;
 pub mod ap;
 
 // Numbers and how they are shown.
+pub mod picture;
 pub mod statistics;
 mod table;
 
-pub use attempt::{Attempt, Class, Figures, Nothing};
+pub use attempt::{Attempt, Class, Figures, Nothing, command};
 pub use clear::{ClearSettings, Item, Observer, Run, Setup, Silent, clear};
 pub use items::{draw, fits};
 pub use replay::{FailedTrial, Replay, plan_again, replay};
