@@ -92,7 +92,10 @@ mod tests {
         }
 
         #[test]
-        fn records_give_back_the_pose(t in prop::array::uniform3(-1.0..1.0f64), r in prop::array::uniform3(-1.0..1.0f64)) {
+        fn records_give_back_the_pose(
+            t in prop::array::uniform3(-1.0..1.0f64),
+            r in prop::array::uniform3(-1.0..1.0f64),
+        ) {
             let pose = Isometry3::new(Vector3::from(t), Vector3::from(r));
             prop_assert_eq!(PoseRecord::from(&pose).isometry(), pose);
         }

@@ -56,7 +56,7 @@ async fn a_run_is_recorded_and_every_attempt_can_be_planned_again() {
     assert_eq!((report.tally.trials, report.tally.successes, &report.record_trouble), (3, 2, &None));
     let info = read_run(&folder.0).unwrap();
     assert_eq!((info.config, info.hand_revision.as_str()), (config.clone(), "r1"));
-    let attempts = read_attempts(&folder.0).unwrap();
+    let attempts = read_attempts(&folder.0).unwrap().records;
     assert_eq!(attempts.len() as u32, report.tally.attempts);
     assert!(matches!(&attempts[0].outcome, Outcome::Failed { .. }) && attempts[0].trial);
     assert_eq!(attempts[1].outcome, Outcome::Success);
@@ -78,6 +78,15 @@ async fn a_run_is_recorded_and_every_attempt_can_be_planned_again() {
     }
     let missing = replay(&shared, &folder.0, 99, Duration::from_secs(5)).await.unwrap_err().to_string();
     assert_eq!(missing, "attempt: found 99, expected 1 to 5");
+    // A line that was cut off by the end of its program is left out, and told; one that is wrong is not.
+    let (lines, text) =
+        (folder.0.join("attempts.jsonl"), std::fs::read_to_string(folder.0.join("attempts.jsonl")).unwrap());
+    std::fs::write(&lines, &text[..text.len() - 40]).unwrap();
+    let cut = read_attempts(&folder.0).unwrap();
+    assert_eq!((cut.cut_line, &cut.records[..]), (Some(attempts.len()), &attempts[..attempts.len() - 1]));
+    std::fs::write(&lines, format!("{}\n", &text[..text.len() - 40])).unwrap();
+    let wrong = read_attempts(&folder.0).unwrap_err().to_string();
+    assert!(wrong.contains(&format!("line {}: ", attempts.len())), "{wrong}");
     // A folder is never written over.
     let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
     let error = clear_tray(&shared.cell(), &config, &mut watcher).await.unwrap_err();

@@ -10,19 +10,21 @@
 //! until there is [room](SceneRoom) for it, and jobs that continue a call keep the call's place in the queue:
 //! what has a scene is finished before another scene is read.
 
+mod queue;
 mod room;
+mod slot;
 
 pub use room::SceneRoom;
 
-use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use graspd_planner::budget::Budget as _;
 use tokio::sync::oneshot;
 
 use crate::deadline::CallBudget;
+use queue::{Job, Kind, Refuse, Run, State, calls_waiting, refuse_dead, take_dead};
+use slot::{Shared, run_slot};
 
 /// A job without a deadline is queued as if it had this much time, so that it is not overtaken for ever.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -95,55 +97,6 @@ impl<T> Ticket<T> {
     /// [`PoolError`] when the job has no result.
     pub async fn wait(&mut self) -> Result<T, PoolError> {
         (&mut self.receiver).await.unwrap_or(Err(PoolError::Closed))
-    }
-}
-
-/// Gets the room that the job asked for.
-type Run = Box<dyn FnOnce(&rayon::ThreadPool, SceneRoom) + Send>;
-type Refuse = Box<dyn FnOnce(PoolError) + Send>;
-
-struct Job {
-    budget: CallBudget,
-    kind: Kind,
-    /// Runs the job and answers its ticket.
-    run: Run,
-    /// Answers its ticket without running it. Shares the ticket with `run`; only one of both is called.
-    refuse: Refuse,
-}
-
-/// What a job is to its call.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    /// The first job of a call, and the room that its scene needs; 0 if it reads none.
-    First { room: usize },
-    /// Continues a call that was admitted.
-    Continuation,
-}
-
-/// Place of a job in the queue: when its call is due, when it arrived, and when the job was queued.
-type Place = (Instant, Instant, u64);
-
-#[derive(Default)]
-struct State {
-    waiting: BTreeMap<Place, Job>,
-    queued: u64,
-    running: usize,
-    /// Room that scenes take.
-    room_taken: usize,
-    /// Moving average of the time that a job runs, seconds.
-    mean_run_s: f64,
-    closed: bool,
-}
-
-struct Shared {
-    state: Mutex<State>,
-    wake: Condvar,
-}
-
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        // Jobs run outside the lock, so a poisoned lock still holds a consistent state.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -335,78 +288,6 @@ impl Pool {
 impl Drop for Pool {
     fn drop(&mut self) {
         self.close();
-    }
-}
-
-/// Takes every job out of the queue that need not run any more.
-fn take_dead(state: &mut State, dead: &mut Vec<Job>) {
-    let keys: Vec<_> =
-        state.waiting.iter().filter(|(_, job)| job.budget.stop().is_some()).map(|(k, _)| *k).collect();
-    dead.extend(keys.iter().filter_map(|key| state.waiting.remove(key)));
-}
-
-fn refuse_dead(job: Job) {
-    let error = match job.budget.stop() {
-        Some(graspd_planner::budget::Stop::Cancelled) => PoolError::Cancelled,
-        _ => PoolError::Expired,
-    };
-    (job.refuse)(error);
-}
-
-/// Calls of which no job has begun.
-fn calls_waiting(state: &State) -> usize {
-    state.waiting.values().filter(|job| job.kind != Kind::Continuation).count()
-}
-
-/// Takes the most urgent job that can begin, and the room for its scene. Where one has to wait for room, no
-/// other scene may overtake it (a large one would wait for ever), but jobs that read none may.
-fn take_next(state: &mut State, room_limit: usize) -> Option<(Job, usize)> {
-    let mut room_left = room_limit.saturating_sub(state.room_taken);
-    let place = state.waiting.iter().find_map(|(place, job)| match job.kind {
-        Kind::First { room } if room > room_left => {
-            room_left = 0;
-            None
-        }
-        _ => Some(*place),
-    })?;
-    let job = state.waiting.remove(&place)?;
-    let room = match job.kind {
-        Kind::First { room } => room,
-        Kind::Continuation => 0,
-    };
-    state.room_taken += room;
-    Some((job, room))
-}
-
-/// The life of a slot: take the most urgent job, run it, until the pool is closed.
-fn run_slot(shared: &Arc<Shared>, rayon: &rayon::ThreadPool, room_limit: usize) {
-    let mut state = shared.lock();
-    loop {
-        let mut dead = Vec::new();
-        take_dead(&mut state, &mut dead);
-        if !dead.is_empty() {
-            drop(state);
-            dead.into_iter().for_each(refuse_dead);
-            state = shared.lock();
-            continue;
-        }
-        if let Some((job, room)) = take_next(&mut state, room_limit) {
-            state.running += 1;
-            if !state.waiting.is_empty() {
-                shared.wake.notify_one();
-            }
-            drop(state);
-            let began = Instant::now();
-            (job.run)(rayon, SceneRoom::new(Arc::clone(shared), room));
-            let took = began.elapsed().as_secs_f64();
-            state = shared.lock();
-            state.running -= 1;
-            state.mean_run_s += 0.2 * (took - state.mean_run_s);
-        } else if state.closed {
-            return;
-        } else {
-            state = shared.wake.wait(state).unwrap_or_else(PoisonError::into_inner);
-        }
     }
 }
 

@@ -17,7 +17,11 @@ fn main() {
 }
 
 /// A box of 14 × 5 × 8 cm (4 × 4 × 8 cm for grippers that are narrower), 300 g, gripped from above.
-#[divan::bench(args = ["leap", "robotiq-3f", "barrett", "brunel", "model-o", "robotiq-2f85"], sample_count = 5, sample_size = 1)]
+#[divan::bench(
+    args = ["leap", "robotiq-3f", "barrett", "brunel", "model-o", "robotiq-2f85"],
+    sample_count = 5,
+    sample_size = 1
+)]
 fn one_grasp(bencher: divan::Bencher<'_, '_>, id: &str) {
     let hand = Arc::new(library::hand(id).unwrap().clone());
     let half = match id {

@@ -107,7 +107,8 @@ fn generating(bencher: Bencher<'_, '_>) {
     let mut seed = 0;
     bencher.counter(ItemsCount::new(VIEWS)).bench_local(|| {
         seed += 1;
-        let world = arrange(&settings, &assortment(12, seed), Arrangement::Pile, seed);
+        let world = arrange(&settings, &assortment(12, seed), Arrangement::Pile, seed)
+            .expect("a tray has room for twelve");
         (0..VIEWS).map(|i| camera.take(&world, &around(i), seed).image.depth_m[0]).sum::<f32>()
     });
 }

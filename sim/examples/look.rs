@@ -8,7 +8,7 @@ use std::io::Write;
 use std::path::Path;
 
 use graspd_sim::camera::{Pinhole, look_at};
-use graspd_sim::clutter::{Arrangement, arrange, assortment};
+use graspd_sim::clutter::{ArrangeError, Arrangement, arrange, assortment};
 use graspd_sim::render::{RgbImage, capture, depth_picture, picture};
 use graspd_sim::scene;
 use graspd_sim::sensor::Sensor;
@@ -27,10 +27,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(folder)?;
     let world = match words.next() {
         Some(word) => match word.parse() {
-            Ok(seed) => poured(seed),
+            Ok(seed) => poured(seed)?,
             Err(_) => scene::from_json(&std::fs::read_to_string(word)?)?,
         },
-        None => poured(5),
+        None => poured(5)?,
     };
     std::fs::write(folder.join("scene.json"), scene::to_json(&world))?;
 
@@ -49,7 +49,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-fn poured(seed: u64) -> World {
+fn poured(seed: u64) -> Result<World, ArrangeError> {
     let settings = WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() };
     arrange(&settings, &assortment(OBJECTS, seed), Arrangement::Pile, seed)
 }

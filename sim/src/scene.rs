@@ -14,6 +14,7 @@
 //! Motion is not saved: a loaded world is at rest. Numbers are read as exactly as they are written.
 
 mod fields;
+mod settings;
 
 use std::sync::Arc;
 
@@ -23,7 +24,7 @@ use serde_json::{Value, json};
 
 use crate::mesh::Mesh;
 use crate::object::{Family, Object, ObjectError, Source, Surface, check_mesh, check_properties};
-use crate::world::{World, WorldSettings};
+use crate::world::World;
 use fields::{Fields, within};
 
 /// The version that is written, and the only one that is read.
@@ -114,7 +115,7 @@ pub fn from_json(text: &str) -> Result<World, SceneError> {
         return Err(fields.wrong("graspd_scene", version, "1, the version that this program reads"));
     }
     let settings = fields.take("settings", "a world's settings")?;
-    check_settings(&settings)?;
+    settings::check(&settings)?;
     let objects: Vec<Value> = fields.take("objects", "an array of objects")?;
     fields.finish()?;
     if objects.len() > MOST_OBJECTS {
@@ -131,24 +132,6 @@ pub fn from_json(text: &str) -> Result<World, SceneError> {
         world.add(Arc::new(object), &pose);
     }
     Ok(world)
-}
-
-fn check_settings(s: &WorldSettings) -> Result<(), SceneError> {
-    let check = |field: &str, value, low, high| within("settings", field, value, low, high);
-    check("dt_s", s.dt_s, 1e-5, 0.02)?;
-    check("solver_iterations", s.solver_iterations as f64, 1.0, 1000.0)?;
-    check("gravity", s.gravity, 0.0, 100.0)?;
-    check("table_half_extent_m", s.table_half_extent_m, 0.05, FARTHEST_M)?;
-    check("table_friction", s.table_friction, 0.0, 10.0)?;
-    check("table_surface.albedo", s.table_surface.albedo, 0.0, 1.0)?;
-    check("table_surface.specular", s.table_surface.specular, 0.0, 1.0)?;
-    if let Some(tray) = &s.tray {
-        check("tray.width_m", tray.width_m, 0.02, FARTHEST_M)?;
-        check("tray.length_m", tray.length_m, 0.02, FARTHEST_M)?;
-        check("tray.height_m", tray.height_m, 0.001, 1.0)?;
-        check("tray.wall_m", tray.wall_m, 0.001, 0.5)?;
-    }
-    Ok(())
 }
 
 fn object(mut fields: Fields) -> Result<(Object, Isometry3<f64>), SceneError> {

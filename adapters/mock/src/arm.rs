@@ -4,15 +4,16 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use graspd_adapters_core::{Arm, ArmInfo, ArmState, DeviceError, Limits, Reached};
-use graspd_sim::world::HandId;
+use graspd_sim::world::{HandId, WristForce};
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
+use crate::course::Order;
 use crate::fault_handle::FaultHandle;
 use crate::faults::Faults;
 use crate::link::Link;
-use crate::motion::{Order, Shared};
-use crate::shared::{SettingsError, SharedWorld, positive};
+use crate::motion::Shared;
+use crate::shared::{SettingsError, SharedWorld, finite, positive};
 
 /// What a mock arm is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -32,7 +33,7 @@ pub struct ArmSettings {
     pub max_speed_m_s: f64,
     /// Largest angular speed of the flange, radians per second.
     pub turn_rad_s: f64,
-    /// Force on the hand at which a motion ends in a protective stop, newtons; none: never.
+    /// Force at the wrist (see [`WristForce`]) at which a motion ends in a protective stop, newtons; none: never.
     pub stop_force_n: Option<f64>,
     /// Time over which that force is smoothed, seconds.
     pub force_filter_s: f64,
@@ -50,7 +51,7 @@ impl Default for ArmSettings {
             max_speed_m_s: 1.0,
             turn_rad_s: 2.0,
             stop_force_n: Some(150.0),
-            force_filter_s: 0.02,
+            force_filter_s: WristForce::FILTER_S,
         }
     }
 }
@@ -87,6 +88,9 @@ impl MockArm {
         ];
         for (field, value) in numbers {
             positive(field, value)?;
+        }
+        for value in settings.base_m {
+            finite("base_m", value)?;
         }
         let faults = FaultHandle::new(shared.clock(), faults)?;
         let state = Shared::new(settings.name.clone(), hand, settings.clone(), faults.clone());

@@ -19,6 +19,9 @@ use crate::link::{Call, Link};
 use crate::shared::{Reply, SettingsError, SharedWorld, positive};
 use crate::stage::Process;
 
+/// Most exposures per second: more than there are steps of the world, and few enough to be counted for ever.
+const MOST_HZ: f64 = 1e4;
+
 /// Where a camera is mounted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Mount {
@@ -55,7 +58,7 @@ pub struct CameraSettings {
     pub name: String,
     /// Model.
     pub model: String,
-    /// Exposures per second.
+    /// Exposures per second, above 0, at most 10,000.
     pub frame_rate_hz: f64,
     /// Closest and farthest depth, as it says of itself, metres.
     pub range_m: (f64, f64),
@@ -97,6 +100,13 @@ impl MockCamera {
         faults: Faults,
     ) -> Result<Self, SettingsError> {
         positive("frame_rate_hz", settings.frame_rate_hz)?;
+        if settings.frame_rate_hz > MOST_HZ {
+            return Err(SettingsError {
+                field: "frame_rate_hz".into(),
+                found: settings.frame_rate_hz.to_string(),
+                expected: "at most 10000",
+            });
+        }
         let faults = FaultHandle::new(shared.clock(), faults)?;
         let link = Link { device: settings.name.clone(), shared: shared.clone(), faults };
         Ok(Self { link, settings, mount, sensor: Arc::new(sensor) })

@@ -43,6 +43,7 @@
 // The world that the devices share.
 mod bins;
 mod clock;
+mod course;
 mod shared;
 mod stage;
 mod whereabouts;

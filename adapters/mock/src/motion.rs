@@ -3,10 +3,10 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use graspd_adapters_core::{ArmMode, DeviceError, FaultKind, Reached};
-use graspd_sim::world::{Command, HandId, HandState, Touched, World};
-use nalgebra::{Isometry3, Vector3};
+use graspd_sim::world::{Command, HandId, HandState, World, WristForce};
 
 use crate::arm::ArmSettings;
+use crate::course::{Motion, Order};
 use crate::fault_handle::FaultHandle;
 use crate::faults::StopKind;
 use crate::link::Call;
@@ -15,59 +15,10 @@ use crate::stage::{Process, Stage};
 
 /// An arm that does not come to rest for this long while it brakes is taken to stand, seconds.
 const BRAKE_LIMIT_S: f64 = 0.5;
-/// A motion that makes less than [`PROGRESS`] of its speed for this long is blocked, seconds.
-const BLOCKED_S: f64 = 0.5;
-/// Share of its speed that a motion must make.
-const PROGRESS: f64 = 0.1;
-/// Turning counts as the way of a point this far from the flange, metres.
-const TURNING_M: f64 = 0.1;
 /// A blocked arm that is this close to where it was sent, metres and radians, is there: it presses, and holds.
 const IN_POSITION: (f64, f64) = (2e-3, 2e-2);
 /// A motion that does not end in time is braked this long before, seconds, so that the answer comes in time.
 const BRAKE_AHEAD_S: f64 = 0.05;
-
-/// A motion to begin.
-pub(crate) struct Order {
-    pub(crate) call: Call,
-    pub(crate) reply: Reply<Reached>,
-    pub(crate) world_from_hand: Isometry3<f64>,
-    pub(crate) speed_m_s: f64,
-    /// Force at which it ends as it should; none: it goes on.
-    pub(crate) contact_n: Option<f64>,
-}
-
-/// A motion that runs.
-struct Motion {
-    call: Call,
-    reply: Reply<Reached>,
-    began_s: f64,
-    last: Vector3<f64>,
-    path_m: f64,
-    goal: Isometry3<f64>,
-    speed_m_s: f64,
-    contact_n: Option<f64>,
-    /// The least way that was left, and when it was reached.
-    left_m: f64,
-    left_at_s: f64,
-}
-
-impl Motion {
-    /// Way and angle left.
-    fn left(&self, at: &Isometry3<f64>) -> (f64, f64) {
-        let way = (self.goal.translation.vector - at.translation.vector).norm();
-        (way, self.goal.rotation.angle_to(&at.rotation))
-    }
-
-    /// True when something blocks it: it has stopped following its path.
-    fn blocked(&mut self, at: &Isometry3<f64>, now_s: f64) -> bool {
-        let (way, angle) = self.left(at);
-        let left_m = way + TURNING_M * angle;
-        if left_m < self.left_m - PROGRESS * self.speed_m_s * BLOCKED_S {
-            (self.left_m, self.left_at_s) = (left_m, now_s);
-        }
-        now_s - self.left_at_s > BLOCKED_S
-    }
-}
 
 enum Phase {
     Standing,
@@ -91,7 +42,7 @@ pub(crate) struct ArmCore {
     stops: Vec<(Call, Reply<()>)>,
     /// True while a [`Drive`] looks at this arm after each step.
     driven: bool,
-    force: Vector3<f64>,
+    felt: WristForce,
 }
 
 /// An arm's state, shared by its calls and its process; only ever locked on the world's thread.
@@ -106,6 +57,7 @@ impl std::fmt::Debug for Shared {
 
 impl Shared {
     pub(crate) fn new(device: String, hand: HandId, settings: ArmSettings, faults: FaultHandle) -> Self {
+        let felt = WristForce::new(settings.force_filter_s);
         Self(Arc::new(Mutex::new(ArmCore {
             device,
             hand,
@@ -115,7 +67,7 @@ impl Shared {
             halt: None,
             stops: Vec::new(),
             driven: false,
-            force: Vector3::zeros(),
+            felt,
         })))
     }
 
@@ -195,7 +147,7 @@ impl ArmCore {
     }
 
     fn begin(&mut self, world: &mut World, order: Order) {
-        self.force = Vector3::zeros();
+        self.felt = WristForce::new(self.settings.force_filter_s);
         let last = world.hand_state(self.hand).map(|s| s.world_from_hand.translation.vector);
         let sent = world.command(
             self.hand,
@@ -209,18 +161,7 @@ impl ArmCore {
             let _unheard = order.reply.send(Err(self.gone()));
             return;
         };
-        let motion = Motion {
-            call: order.call,
-            reply: order.reply,
-            began_s: world.time_s(),
-            last,
-            path_m: 0.0,
-            goal: order.world_from_hand,
-            speed_m_s: order.speed_m_s.min(TURNING_M * self.settings.turn_rad_s),
-            contact_n: order.contact_n,
-            left_m: f64::INFINITY,
-            left_at_s: world.time_s(),
-        };
+        let motion = Motion::new(order, last, world.time_s(), self.settings.turn_rad_s);
         match std::mem::replace(&mut self.phase, Phase::Moving(motion)) {
             Phase::Moving(old) => {
                 let error = stopped(&old.call);
@@ -244,9 +185,7 @@ impl ArmCore {
         let now_s = world.time_s();
         match &mut self.phase {
             Phase::Moving(motion) => {
-                let at = state.world_from_hand.translation.vector;
-                motion.path_m += (at - motion.last).norm();
-                motion.last = at;
+                motion.go_on(&state.world_from_hand);
                 self.watch_motion(world, &state);
             }
             Phase::Braking { since_s, then } => {
@@ -287,7 +226,7 @@ impl ArmCore {
             return;
         }
         let contact_n = motion.contact_n.unwrap_or(f64::INFINITY);
-        let force_n = self.feel(world);
+        let force_n = self.felt.feel(world, self.hand);
         if let Some(limit) = self.settings.stop_force_n.filter(|limit| force_n > *limit) {
             let detail = format!("{force_n:.0} N at the hand during {}, limit {limit:.0} N", call.operation);
             self.halt(world, FaultKind::ProtectiveStop, detail);
@@ -305,20 +244,6 @@ impl ArmCore {
         } else if let Some(error) = timed_out {
             self.brake(world, |_| Err(error.clone()));
         }
-    }
-
-    /// Force of all that presses on the hand from outside, smoothed, newtons. What the fingers hold presses from
-    /// all sides and cancels.
-    fn feel(&mut self, world: &World) -> f64 {
-        let net: Vector3<f64> = world
-            .hand_contacts(self.hand)
-            .iter()
-            .filter(|c| c.touched != Touched::Hand(self.hand))
-            .map(|c| -c.normal * c.force_n)
-            .sum();
-        let dt = world.settings().dt_s;
-        self.force += (net - self.force) * (dt / self.settings.force_filter_s.max(dt));
-        self.force.norm()
     }
 
     /// Notices a pressed emergency stop.

@@ -66,6 +66,14 @@ pub(crate) fn positive(field: &str, found: f64) -> Result<(), SettingsError> {
     Err(SettingsError { field: field.into(), found: found.to_string(), expected: "a number above 0" })
 }
 
+/// `Ok` when a number is finite.
+pub(crate) fn finite(field: &str, found: f64) -> Result<(), SettingsError> {
+    if found.is_finite() {
+        return Ok(());
+    }
+    Err(SettingsError { field: field.into(), found: found.to_string(), expected: "a finite number" })
+}
+
 /// The world's thread has ended: a step of the physics failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("the simulated world has ended")]

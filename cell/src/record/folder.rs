@@ -128,21 +128,38 @@ pub fn read_run(folder: &Path) -> Result<RunInfo, RecordError> {
         .map_err(|e| RecordError::Content { file: path.display().to_string(), problem: e.to_string() })
 }
 
-/// Reads all attempts.
+/// The attempts of a recorded run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Attempts {
+    /// In the order in which they were made.
+    pub records: Vec<AttemptRecord>,
+    /// Number of the last line, from 1, where it was cut off: the run was killed while it wrote, and the attempt of
+    /// that line is lost.
+    pub cut_line: Option<usize>,
+}
+
+/// Reads all attempts. A last line without its end is left out, and told.
 ///
 /// # Errors
 /// [`RecordError`] with the line that is wrong.
-pub fn read_attempts(folder: &Path) -> Result<Vec<AttemptRecord>, RecordError> {
+pub fn read_attempts(folder: &Path) -> Result<Attempts, RecordError> {
     let path = folder.join("attempts.jsonl");
     let text = String::from_utf8_lossy(&read(&path)?).into_owned();
-    (text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()))
-        .map(|(i, line)| {
-            serde_json::from_str(line).map_err(|e| RecordError::Content {
-                file: path.display().to_string(),
-                problem: format!("line {}: {e}", i + 1),
-            })
-        })
-        .collect()
+    let whole = text.is_empty() || text.ends_with('\n');
+    let last = text.lines().count();
+    let mut attempts = Attempts { records: Vec::new(), cut_line: None };
+    for (line, number) in text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty()) {
+        match serde_json::from_str(line) {
+            Ok(record) => attempts.records.push(record),
+            // Lines are written with their end: one that has none was not written to it.
+            Err(_) if number == last && !whole => attempts.cut_line = Some(number),
+            Err(e) => {
+                let (file, problem) = (path.display().to_string(), format!("line {number}: {e}"));
+                return Err(RecordError::Content { file, problem });
+            }
+        }
+    }
+    Ok(attempts)
 }
 
 /// Reads the frame of an attempt.

@@ -12,5 +12,5 @@ mod folder;
 mod replay;
 
 pub use attempt::{AnswerRecord, AttemptRecord, Chosen, StepRecord, TroubleRecord};
-pub use folder::{RecordError, Recorder, RunInfo, frame_stem, read_attempts, read_frame, read_run};
+pub use folder::{Attempts, RecordError, Recorder, RunInfo, frame_stem, read_attempts, read_frame, read_run};
 pub use replay::{Replay, ReplayError, replay};

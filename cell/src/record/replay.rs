@@ -57,7 +57,7 @@ pub async fn replay(
     attempt: u32,
     timeout: Duration,
 ) -> Result<Replay, ReplayError> {
-    let attempts = read_attempts(folder)?;
+    let attempts = read_attempts(folder)?.records;
     let last = attempts.last().map_or(0, |a| a.attempt);
     let recorded = attempts.into_iter().find(|a| a.attempt == attempt);
     let recorded = recorded.ok_or(ReplayError::NoAttempt { found: attempt, last })?;

@@ -17,7 +17,12 @@ pub(crate) struct ServeArgs {
     #[arg(long, env = "GRASPD_INSECURE_LISTEN")]
     insecure_listen: bool,
     /// Largest message that is taken, MiB
-    #[arg(long, default_value_t = 16, env = "GRASPD_MAX_MESSAGE_MIB", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(
+        long,
+        default_value_t = 16,
+        env = "GRASPD_MAX_MESSAGE_MIB",
+        value_parser = clap::value_parser!(u32).range(1..=1024)
+    )]
     max_message_mib: u32,
     /// Threads that work on one request; all cores if left out
     #[arg(long, env = "GRASPD_THREADS", value_parser = clap::value_parser!(u32).range(1..=1024))]

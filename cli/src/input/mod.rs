@@ -107,7 +107,8 @@ mod tests {
     proptest! {
         #[test]
         fn damaged_images_are_errors_or_images(png in damaged(small_png()), npy in damaged(small_npy())) {
-            for raw in [depth::RawDepth::from_png("d", &png), depth::RawDepth::from_npy("d", &npy)].into_iter().flatten() {
+            let read = [depth::RawDepth::from_png("d", &png), depth::RawDepth::from_npy("d", &npy)];
+            for raw in read.into_iter().flatten() {
                 prop_assert_eq!(raw.in_metres(0.001).depth_m.len(), raw.width * raw.height);
             }
         }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::Shared;
+use super::slot::Shared;
 
 /// Room that a scene takes; dropping it gives the room back.
 pub struct SceneRoom {

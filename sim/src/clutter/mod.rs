@@ -43,12 +43,28 @@ const STEADY_M: f64 = 0.0003;
 /// How often what fell out, or found no rest, is put back.
 const ROUNDS: usize = 12;
 
-/// Puts objects into a new world and lets them come to rest. Objects that end outside the tray (or off the
-/// table's middle) are put back in from above, and so are the few that find no rest where they are. Deterministic by seed. Ids follow the order of the objects,
-/// from 1.
+/// Objects found no place, or no rest, however often they were put back.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("objects: found {count} without a place to rest ({}), expected fewer, smaller ones or a larger tray", names.join(", "), count = names.len())]
+pub struct ArrangeError {
+    /// Their names.
+    pub names: Vec<String>,
+}
+
+/// Puts objects into a new world and lets them come to rest. Objects that end outside the tray (or off the table's
+/// middle) are put back in from above, and so are the few that find no rest where they are, 12 times at most.
+/// Deterministic by seed. Ids follow the order of the objects, from 1.
 ///
 /// Packed objects for which there is no free place are put on top of the others.
-pub fn arrange(settings: &WorldSettings, objects: &[Arc<Object>], how: Arrangement, seed: u64) -> World {
+///
+/// # Errors
+/// [`ArrangeError`] with the objects that still lie outside, or still move.
+pub fn arrange(
+    settings: &WorldSettings,
+    objects: &[Arc<Object>],
+    how: Arrangement,
+    seed: u64,
+) -> Result<World, ArrangeError> {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut falling = World::new(WorldSettings { dt_s: settings.dt_s.max(FALLING_DT_S), ..*settings });
     let mut ids: Vec<Option<ObjectId>> = vec![None; objects.len()];
@@ -76,10 +92,14 @@ pub fn arrange(settings: &WorldSettings, objects: &[Arc<Object>], how: Arrangeme
             .collect();
         if again.is_empty() || round == ROUNDS {
             let (world, unsteady) = hand_out(&falling, settings, &ids);
-            if unsteady.is_empty() || round == ROUNDS {
-                return world;
+            if unsteady.is_empty() {
+                return Ok(world);
             }
             again = unsteady;
+            if round == ROUNDS {
+                let name = |&id: &ObjectId| falling.object(id).map(|o| o.name.clone());
+                return Err(ArrangeError { names: again.iter().filter_map(name).collect() });
+            }
         }
         for id in again {
             pile::put_back(&mut falling, id, round, &mut rng);

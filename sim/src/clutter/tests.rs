@@ -32,7 +32,7 @@ fn settled_scenes_are_in_the_tray_and_stay() {
         (Arrangement::Packed, 12, 3),
         (Arrangement::Pile, 16, 28),
     ] {
-        let mut world = arrange(&in_tray(), &assortment(count, seed), how, seed);
+        let mut world = arrange(&in_tray(), &assortment(count, seed), how, seed).unwrap();
         assert_eq!(world.ids().len(), count);
         assert!(is_at_rest(&world));
         let before = poses(&world);
@@ -54,7 +54,7 @@ fn settled_scenes_are_in_the_tray_and_stay() {
 #[test]
 fn the_same_seed_gives_the_same_poses_bit_for_bit() {
     for how in [Arrangement::Pile, Arrangement::Packed] {
-        let run = |seed| poses(&arrange(&in_tray(), &assortment(5, 2), how, seed));
+        let run = |seed| poses(&arrange(&in_tray(), &assortment(5, 2), how, seed).unwrap());
         let bits = |poses: Vec<Isometry3<f64>>| -> Vec<u64> {
             let numbers = poses.iter().flat_map(|p| {
                 p.translation
@@ -77,7 +77,7 @@ fn packed_objects_stand_apart_and_upright() {
     let kinds = [Kind::Can, Kind::Box, Kind::Cup, Kind::Cylinder, Kind::Plate, Kind::Block, Kind::Mug];
     let objects: Vec<_> =
         kinds.iter().enumerate().map(|(i, &k)| Arc::new(Object::sample(k, i as u64))).collect();
-    let world = arrange(&WorldSettings::default(), &objects, Arrangement::Packed, 6);
+    let world = arrange(&WorldSettings::default(), &objects, Arrangement::Packed, 6).unwrap();
     assert!(is_at_rest(&world));
     for (id, object) in world.ids().into_iter().zip(&objects) {
         let pose = world.pose(id).unwrap();
@@ -90,7 +90,7 @@ fn packed_objects_stand_apart_and_upright() {
 }
 
 #[test]
-fn what_falls_only_loses_energy() {
+fn what_falls_gains_no_more_energy_than_contacts_give_back() {
     let mut world = World::new(in_tray());
     for (i, object) in assortment(6, 8).into_iter().enumerate() {
         let turn = nalgebra::Vector3::new(0.4 * i as f64, 0.9, 0.2);
@@ -98,19 +98,33 @@ fn what_falls_only_loses_energy() {
         world.add(object, &Isometry3::new(at, turn));
     }
     let first = world.energy();
-    let mut lowest = first;
+    let (mut lowest, mut before, mut gained) = (first, first, 0.0);
     for _ in 0..(2.0 / world.settings().dt_s) as usize {
         world.step();
         let energy = world.energy();
-        // What falls fast enters a contact by some millimetres in one step, and is lifted out of it again.
-        assert!(energy < lowest + 1e-2 * first, "energy from nothing: {lowest} J, then {energy} J");
+        gained += (energy - before).max(0.0);
+        before = energy;
         lowest = lowest.min(energy);
     }
+    // What falls fast enters a contact by some millimetres in one step, and is lifted out of it again: all of that
+    // together is little.
+    assert!(gained < 0.02 * first, "{gained} J from nothing, of {first} J");
     assert!(lowest < 0.5 * first);
 }
 
 #[test]
+fn what_finds_no_place_is_named() {
+    // Three bowls, each wider than the tray.
+    let tray = Tray { width_m: 0.06, length_m: 0.06, ..Tray::default() };
+    let settings = WorldSettings { tray: Some(tray), ..WorldSettings::default() };
+    let objects: Vec<_> = (0..3).map(|i| Arc::new(Object::sample(crate::object::Kind::Bowl, i))).collect();
+    let error = arrange(&settings, &objects, Arrangement::Pile, 1).unwrap_err();
+    assert!(!error.names.is_empty() && error.names.iter().all(|n| n == "bowl"), "{error}");
+    assert!(error.to_string().starts_with("objects: found "), "{error}");
+}
+
+#[test]
 fn what_is_not_there_is_at_rest_and_nothing_is_arranged() {
-    let mut world = arrange(&in_tray(), &[], Arrangement::Pile, 0);
+    let mut world = arrange(&in_tray(), &[], Arrangement::Pile, 0).unwrap();
     assert!(world.ids().is_empty() && settle(&mut world, 1.0));
 }

@@ -207,6 +207,7 @@ fn closers(hand: &Hand, order: &CloseOrder) -> (Vec<Closer>, Vec<f64>) {
         let links = moved(hand, i);
         let mut fingers: Vec<usize> =
             hand.pads.iter().filter(|p| links.contains(&p.link)).map(|p| p.finger).collect();
+        fingers.sort_unstable();
         fingers.dedup();
         let end = if sign > 0.0 { c.upper } else { c.lower };
         let limit = order.farthest.get(a).map_or(end, |f| f.clamp(c.lower, c.upper));

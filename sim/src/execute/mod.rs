@@ -1,6 +1,7 @@
 //! Executing one grasp, as the paper's Task 1 does: approach, close, lift, hold, shake (Supplementary Note 7).
 
 mod closing;
+mod place;
 mod run;
 #[cfg(test)]
 mod tests;
@@ -9,8 +10,11 @@ use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
 use crate::world::ObjectId;
+#[cfg(doc)]
+use crate::world::WristForce;
 
 pub use closing::{CloseOrder, Closing};
+pub use place::set_down;
 pub use run::execute;
 
 /// What is to be executed: the answer of a planner, without its opinion.
@@ -33,9 +37,9 @@ pub struct GraspCommand {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Failure {
-    /// The hand hit the table or the tray on its way (Fig. 8b).
+    /// The hand hit the table or the tray on its way, or stood in them when it was set down (Fig. 8b).
     CollisionTable,
-    /// The hand pushed an object away on its way (Fig. 8c).
+    /// The hand pushed an object away on its way, or stood in one when it was set down (Fig. 8c).
     CollisionObject,
     /// The object slipped away while the fingers closed (Fig. 8e).
     LostClosing,
@@ -47,9 +51,10 @@ pub enum Failure {
     LostShaking,
 }
 
-/// How a grasp is executed.
+/// How a grasp is executed. In a file every field must be there: what a newer program filled in would be another
+/// motion than the one that was recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct ExecuteSettings {
     /// Share of the actuators' effort while gripping.
     pub grip_force: f64,
@@ -67,7 +72,7 @@ pub struct ExecuteSettings {
     pub shake_hz: f64,
     /// Cycles of the shake along each of x, y and z.
     pub shake_cycles: f64,
-    /// Force on table, tray or an object at which the arm stops its approach, newtons (a guarded move).
+    /// Force at the wrist at which the arm stops its approach, newtons (a guarded move); see [`WristForce`].
     pub stop_force_n: f64,
     /// How far the meant object may be pushed during the approach before that is a collision, metres.
     pub push_m: f64,

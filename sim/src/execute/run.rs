@@ -2,12 +2,12 @@
 
 use std::f64::consts::{PI, TAU};
 
-use graspd_hands::{CoordinateKind, Hand};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::Isometry3;
 
 use super::closing::{CloseOrder, Closing};
+use super::place::meant;
 use super::{ExecuteSettings, Failure, GraspCommand, Moment, Trial};
-use crate::world::{Command, HandContact, HandId, ObjectId, Touched, World};
+use crate::world::{Command, HandContact, HandId, ObjectId, Touched, World, WristForce};
 
 /// Speed of turning on the way, radians per second.
 const TURN_RAD_S: f64 = 1.0;
@@ -19,17 +19,20 @@ const LIFTED: f64 = 0.7;
 const LOOSE_M_S: f64 = 0.1;
 /// An object that has gone this far while the fingers closed on it, and is not held, has slipped away, metres.
 const SLIPPED_M: f64 = 0.01;
-/// Contact forces are averaged over this time before the arm judges them, seconds.
-const FORCE_S: f64 = 0.01;
+/// What the hand overlaps by more than this where it was set down, it would have hit on the way there, metres.
+const OVERLAP_M: f64 = 0.002;
 /// Stillness after the shake, seconds.
 const CALM_S: f64 = 0.3;
 
 /// Executes a grasp with a hand that is in the world; `watch` is called at each [`Moment`].
 ///
-/// The hand goes to the pre-grasp if it is not there (up, across and down at 0.25 m/s; best put it there with the
-/// coordinates of `open`), approaches until it arrives or something resists, closes all fingers at once until each is held, lifts, holds,
-/// and shakes. Nothing but the objects' poses decides whether that succeeded. The hand stays at the end of its
-/// motion, with whatever it holds. A hand that is not in the world holds nothing: [`Failure::UnstableContact`].
+/// The hand goes to the pre-grasp if it is not there (up, across and down at 0.25 m/s; best [`set_down`] there),
+/// approaches until it arrives or something resists, closes all fingers at once until each is held, lifts, holds, and
+/// shakes. Nothing but the objects' poses decides whether that succeeded; what a hand overlaps where it was set down
+/// counts as hit on the way. The hand stays at the end of its motion, with whatever it holds. A hand that is not in
+/// the world holds nothing: [`Failure::UnstableContact`].
+///
+/// [`set_down`]: super::set_down
 pub fn execute(
     world: &mut World,
     hand: HandId,
@@ -50,9 +53,12 @@ pub fn execute(
     };
     let meant = meant(world, &model, grasp);
     let mut run = Run { world, hand, settings, meant };
+    // The first step pushes apart what overlaps: it is to be seen before.
+    let begin = run.overlap();
     run.reach(grasp);
     watch(Moment::Before, run.world);
-    let approach = run.approach(grasp);
+    let way = run.approach(grasp);
+    let approach = Approach { table: begin.table || way.table, pushed: begin.pushed || way.pushed };
     let gap_before = run.pose_of(meant);
     run.close(grasp);
     watch(Moment::Contact, run.world);
@@ -88,7 +94,7 @@ pub fn execute(
     Trial { failure, held, meant, joints_closed, slip_m, duration_s: run.world.time_s() - began }
 }
 
-/// What happened on the approach.
+/// What the hand met on its way.
 #[derive(Debug, Clone, Copy, Default)]
 struct Approach {
     table: bool,
@@ -142,24 +148,30 @@ impl Run<'_> {
         }
     }
 
+    /// What the hand stands in.
+    fn overlap(&self) -> Approach {
+        let mut out = Approach::default();
+        for touched in self.world.hand_overlaps(self.hand, OVERLAP_M) {
+            match touched {
+                Touched::Table | Touched::Tray => out.table = true,
+                Touched::Object(_) => out.pushed = true,
+                Touched::Hand(_) => {}
+            }
+        }
+        out
+    }
+
     /// Straight to the grasp, stopping where something resists.
     fn approach(&mut self, grasp: &GraspCommand) -> Approach {
         let before = self.pose_of(self.meant);
         self.go(&grasp.world_from_hand, self.settings.approach_m_s);
         let mut out = Approach::default();
-        let (mut fixed, mut object) = (0.0, 0.0);
-        let blend = (self.world.settings().dt_s / FORCE_S).min(1.0);
+        let mut felt = WristForce::new(WristForce::FILTER_S);
         for _ in 0..self.steps(20.0) {
             self.world.step();
-            let contacts = self.world.hand_contacts(self.hand);
-            let force = |wanted: fn(&Touched) -> bool| -> f64 {
-                contacts.iter().filter(|c| wanted(&c.touched)).map(|c| c.force_n).sum()
-            };
-            fixed += (force(|t| matches!(t, Touched::Table | Touched::Tray)) - fixed) * blend;
-            object += (force(|t| matches!(t, Touched::Object(_))) - object) * blend;
-            let hit = (fixed > self.settings.stop_force_n, object > self.settings.stop_force_n);
-            if hit.0 || hit.1 {
-                out = Approach { table: hit.0, pushed: hit.1 };
+            if felt.feel(self.world, self.hand) > self.settings.stop_force_n {
+                let table = felt.is_mostly_fixed();
+                out = Approach { table, pushed: !table };
                 let here = self.wrist();
                 self.go(&here, self.settings.approach_m_s);
                 break;
@@ -259,8 +271,10 @@ impl Run<'_> {
     fn held(&self, start: &[(ObjectId, f64)]) -> Vec<ObjectId> {
         let up = |&(id, z): &(ObjectId, f64)| {
             let gain = self.world.pose(id)?.translation.z - z;
-            let speed = self.world.velocity(id)?.0.norm();
-            (gain >= LIFTED * self.settings.lift_m && speed < LOOSE_M_S).then_some(id)
+            let at = self.world.pose(id)?.translation.vector;
+            let carried = self.world.hand_velocity_at(self.hand, &at.into())?;
+            let loose = (self.world.velocity(id)?.0 - carried).norm();
+            (gain >= LIFTED * self.settings.lift_m && loose < LOOSE_M_S).then_some(id)
         };
         start.iter().filter_map(up).collect()
     }
@@ -271,28 +285,4 @@ fn distance(a: &Option<Isometry3<f64>>, b: &Option<Isometry3<f64>>) -> f64 {
         (Some(a), Some(b)) => (a.translation.vector - b.translation.vector).norm(),
         _ => 0.0,
     }
-}
-
-/// The object nearest to the middle of the pads at the grasp; of those that contain it, the one whose origin is
-/// nearest.
-fn meant(world: &World, hand: &Hand, grasp: &GraspCommand) -> Option<ObjectId> {
-    let mut u = hand.actuation.open();
-    let driven =
-        u.iter_mut().zip(&hand.actuation.coordinates).filter(|(_, c)| c.kind == CoordinateKind::Actuator);
-    for ((value, _), contact) in driven.zip(&grasp.contact) {
-        *value = *contact;
-    }
-    let bodies = hand.tree.body_poses(&hand.actuation.joints(&u));
-    let links = hand.tree.link_poses(&bodies);
-    let sum = hand.pads.iter().fold(Vector3::zeros(), |sum, p| sum + (links[p.link] * p.center).coords);
-    let middle = grasp.world_from_hand * Point3::from(sum / hand.pads.len().max(1) as f64);
-    let nearness = |id: &ObjectId| {
-        let outside = world.distance(*id, &middle).unwrap_or(f64::INFINITY).max(0.0);
-        let origin = world.pose(*id).map_or(f64::INFINITY, |p| (p.translation.vector - middle.coords).norm());
-        (outside, origin)
-    };
-    world.ids().into_iter().min_by(|a, b| {
-        let ((a, at), (b, bt)) = (nearness(a), nearness(b));
-        a.total_cmp(&b).then(at.total_cmp(&bt))
-    })
 }

@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use super::*;
 use crate::object::Object;
 use crate::world::samples::{ball, cuboid};
-use crate::world::{World, WorldSettings};
+use crate::world::{Command, World, WorldSettings, WristForce};
 
 /// A grasp from above, made by hand: the tool point goes to `tool`, fingers close half way and squeeze on.
 fn from_above(hand: &Hand, tool: [f64; 3]) -> GraspCommand {
@@ -120,4 +120,58 @@ fn another_object_that_comes_along_counts_as_picked() {
     let trial = execute(&mut world, placed, &grasp, &settings, &mut |_, _| {});
     assert_eq!((trial.failure, trial.meant), (None, Some(below)), "{trial:?}");
     assert_eq!(trial.held, [below, above]);
+}
+
+#[test]
+fn a_hand_set_down_in_an_object_has_hit_it() {
+    let hand = Arc::new(library::hand("robotiq-2f85").unwrap().clone());
+    // Beside the grasp stands a post that nobody lifts, where a finger is at the pre-grasp; further away it is in
+    // nobody's way.
+    let fails = |x: f64| {
+        let mut world = World::new(WorldSettings::default());
+        world.add(small_box().unwrap().0, &Isometry3::translation(0.0, 0.0, 0.04));
+        world.add(cuboid([0.01, 0.03, 0.1], 30.0, 0.5), &Isometry3::translation(x, 0.0, 0.1));
+        // Nothing but air is grasped: above the box.
+        let grasp = from_above(&hand, [0.0, 0.0, 0.13]);
+        let grasp = GraspCommand { world_from_pregrasp: grasp.world_from_hand, ..grasp };
+        let placed = set_down(&mut world, &hand, &grasp);
+        let overlaps = world.hand_overlaps(placed, 0.002);
+        let trial = execute(&mut world, placed, &grasp, &ExecuteSettings::default(), &mut |_, _| {});
+        (overlaps, trial.failure)
+    };
+    assert_eq!(fails(0.3), (Vec::new(), Some(Failure::UnstableContact)));
+    let (overlaps, failure) = fails(0.05);
+    assert_eq!((overlaps.len(), failure), (1, Some(Failure::CollisionObject)), "{overlaps:?}");
+}
+
+#[test]
+fn what_an_arm_feels_is_the_sum_of_all_that_presses_on_the_hand() {
+    let hand = Arc::new(library::hand("panda").unwrap().clone());
+    let mut world = World::new(WorldSettings::default());
+    // Held from both sides a hand feels the box's weight, not the force of its fingers.
+    world.add(small_box().unwrap().0, &Isometry3::translation(0.0, 0.0, 0.04));
+    let grasp = from_above(&hand, [0.0, 0.0, 0.055]);
+    let placed = set_down(&mut world, &hand, &grasp);
+    let settings = ExecuteSettings { shake_m: 0.0, ..ExecuteSettings::default() };
+    let trial = execute(&mut world, placed, &grasp, &settings, &mut |_, _| {});
+    assert_eq!(trial.failure, None, "{trial:?}");
+    let mut felt = WristForce::new(WristForce::FILTER_S);
+    let (mut net_n, mut pressed_n) = (0.0, 0.0);
+    for _ in 0..80 {
+        world.step();
+        net_n = felt.feel(&world, placed);
+        pressed_n = world.hand_contacts(placed).iter().map(|c| c.force_n).sum();
+    }
+    assert!(pressed_n > 40.0 && net_n < 0.2 * pressed_n, "{net_n} N of {pressed_n} N");
+    assert!(!felt.is_mostly_fixed());
+    // What it carries moves with it, and so does the point of the hand that is there.
+    let at = nalgebra::Point3::from(world.pose(trial.held[0]).unwrap().translation.vector);
+    let up = Isometry3::translation(0.0, 0.0, 0.1) * world.hand_state(placed).unwrap().world_from_hand;
+    world.command(placed, Command::Move { world_from_hand: up, speed_m_s: 0.2, turn_rad_s: 1.0 });
+    for _ in 0..100 {
+        world.step();
+    }
+    let (hand_v, object_v) =
+        (world.hand_velocity_at(placed, &at).unwrap(), world.velocity(trial.held[0]).unwrap().0);
+    assert!((hand_v.z - 0.2).abs() < 0.01 && (hand_v - object_v).norm() < 0.02, "{hand_v} {object_v}");
 }

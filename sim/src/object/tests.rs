@@ -193,10 +193,23 @@ proptest! {
         let [a, b, c, d, e, f] = sizes;
         for family in [
             Family::Can(Can { radius_m: a, height_m: b, bevel_m: c }),
-            Family::Bottle(Bottle { body_radius_m: a, body_height_m: b, shoulder_height_m: c, neck_radius_m: d, neck_height_m: e }),
+            Family::Bottle(Bottle {
+                body_radius_m: a,
+                body_height_m: b,
+                shoulder_height_m: c,
+                neck_radius_m: d,
+                neck_height_m: e,
+            }),
             Family::Cup(Cup { bottom_radius_m: a, top_radius_m: b, height_m: c, wall_m: d }),
             Family::Bowl(Bowl { foot_radius_m: a, rim_radius_m: b, height_m: c, wall_m: d }),
-            Family::Mug(Mug { radius_m: a, height_m: b, wall_m: c, handle_reach_m: d, handle_height_m: e, handle_radius_m: f / 10.0 }),
+            Family::Mug(Mug {
+                radius_m: a,
+                height_m: b,
+                wall_m: c,
+                handle_reach_m: d,
+                handle_height_m: e,
+                handle_radius_m: f / 10.0,
+            }),
             Family::Hammer(Hammer { handle_radius_m: a, handle_length_m: b, head_radius_m: c, head_length_m: d }),
             Family::Superquadric(Superquadric { half_m: [a, b, c], vertical: d * 8.0, horizontal: e * 8.0 }),
             Family::Nut(Nut { across_flats_m: a, hole_radius_m: b, height_m: c }),

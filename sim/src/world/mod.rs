@@ -3,7 +3,7 @@
 mod hands;
 mod settings;
 
-pub use hands::{Command, HandContact, HandId, HandState, Touched};
+pub use hands::{Command, HandContact, HandId, HandState, Touched, WristForce};
 pub use settings::{HandSettings, Tray, WorldSettings};
 
 use std::sync::Arc;

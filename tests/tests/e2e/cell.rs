@@ -53,7 +53,7 @@ impl Drop for Folder {
 
 async fn cell(endpoint: &str) -> (Cell, SharedWorld) {
     let settings = WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() };
-    let world = arrange(&settings, &assortment(OBJECTS, 1), Arrangement::Pile, 1);
+    let world = arrange(&settings, &assortment(OBJECTS, 1), Arrangement::Pile, 1).unwrap();
     let shared = SharedWorld::new(world, SharedWorldSettings::default()).unwrap();
     let hand = library::hand("robotiq-2f85").unwrap();
     let home = Isometry3::translation(0.40, 0.0, 0.6);
@@ -120,7 +120,7 @@ async fn a_run_survives_faults_and_a_planner_that_is_restarted() {
     }
     // Every attempt can be planned again from its record, by a server that never saw the run.
     let planner = PlannerClient::new(&server.endpoint());
-    let attempts = read_attempts(&folder.0).unwrap();
+    let attempts = read_attempts(&folder.0).unwrap().records;
     assert_eq!(attempts.len() as u32, report.tally.attempts);
     for attempt in attempts.iter().filter(|a| a.answer.is_some()) {
         let again = replay(&planner, &folder.0, attempt.attempt, Duration::from_secs(60)).await.unwrap();

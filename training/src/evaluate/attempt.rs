@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use graspd_hands::{CoordinateKind, Hand};
+use graspd_hands::Hand;
 use graspd_planner::budget::Budget as _;
 use graspd_planner::estimator::ContactEstimator;
 use graspd_planner::grasp::{Grasp, Plan};
 use graspd_planner::options::{PlanOptions, SceneOptions};
 use graspd_planner::{plan, scene};
-use graspd_sim::execute::{ExecuteSettings, Failure, GraspCommand, Moment, Trial, execute};
+use graspd_sim::execute::{ExecuteSettings, Failure, GraspCommand, Moment, Trial, execute, set_down};
 use graspd_sim::world::World;
 use serde::{Deserialize, Serialize};
 
@@ -211,27 +211,15 @@ impl Conditions<'_> {
         command: &GraspCommand,
         watch: &mut dyn FnMut(Moment, &World),
     ) -> Trial {
-        // A command names actuators only; adaptive coordinates start open.
-        let mut actuators = command.open.iter();
-        let coordinates: Vec<f64> = self
-            .hand
-            .actuation
-            .coordinates
-            .iter()
-            .map(|c| match c.kind {
-                CoordinateKind::Actuator => actuators.next().copied().unwrap_or(c.open),
-                _ => c.open,
-            })
-            .collect();
-        let id = world.add_hand(Arc::clone(self.hand), &command.world_from_pregrasp, &coordinates);
+        let id = set_down(world, self.hand, command);
         let trial = execute(world, id, command, self.execute, watch);
         world.remove_hand(id);
         trial
     }
 }
 
-/// What is executed of a planned grasp.
-pub(crate) fn command(grasp: &Grasp) -> GraspCommand {
+/// What is executed of a planned grasp: poses and postures, without the planner's opinion.
+pub fn command(grasp: &Grasp) -> GraspCommand {
     GraspCommand {
         world_from_pregrasp: grasp.world_from_pregrasp,
         world_from_hand: grasp.world_from_hand,

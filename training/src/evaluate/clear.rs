@@ -7,24 +7,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 use graspd_hands::Hand;
 use graspd_planner::estimator::ContactEstimator;
 use graspd_planner::options::{PlanOptions, VolumeKind};
-use graspd_sim::clutter::{Arrangement, arrange, settle};
+use graspd_sim::clutter::settle;
 use graspd_sim::execute::ExecuteSettings;
 use graspd_sim::object::Object;
 use graspd_sim::scene;
-use graspd_sim::world::World;
-use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
 use super::EvaluationError;
 use super::attempt::{Attempt, Class, Conditions, Figures, command};
+use super::contents::{Contents, SETTLE_S, put_back};
 use super::replay::FailedTrial;
 use super::seeds::derive;
 use super::station::Station;
-
-/// Simulated seconds that objects get to come to rest after an attempt.
-const SETTLE_S: f64 = 3.0;
-/// How far outside the tray's walls an object's origin may be before it is put back, metres.
-const OUTSIDE_M: f64 = 0.01;
 
 /// A row of Supplementary Table 4.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -223,32 +217,6 @@ pub fn clear(
     Ok(runs.into_iter().map(|(_, run)| run).collect())
 }
 
-/// The objects of a tray; `present[i]` is the item behind the world's i-th object.
-struct Contents {
-    items: Vec<Item>,
-    present: Vec<usize>,
-    failures: Vec<usize>,
-}
-
-impl Contents {
-    fn new(objects: &[Arc<Object>]) -> Self {
-        let item = |o: &Arc<Object>| Item { name: o.name.clone(), cleared: false, attempts: 0 };
-        Self {
-            items: objects.iter().map(item).collect(),
-            present: (0..objects.len()).collect(),
-            failures: vec![0; objects.len()],
-        }
-    }
-
-    /// Takes the world's i-th object out of the world.
-    fn take(&mut self, world: &mut World, at: usize) {
-        if let Some(&id) = world.ids().get(at) {
-            world.remove(id);
-            self.present.remove(at);
-        }
-    }
-}
-
 /// One run. Setup, objects and noise are the same for every hand.
 fn clear_tray(
     settings: &ClearSettings,
@@ -259,7 +227,7 @@ fn clear_tray(
 ) -> Result<Run, EvaluationError> {
     let objects = settings.objects_of(setup, run);
     let run_seed = derive(settings.seed, &[setup as u64, run as u64]);
-    let mut world = arrange(&conditions.station.world, objects, Arrangement::Pile, derive(run_seed, &[0]));
+    let mut world = conditions.station.poured(objects, derive(run_seed, &[0]))?;
     let mut contents = Contents::new(objects);
     let hand = conditions.hand.id.clone();
     let mut done = Run {
@@ -274,6 +242,9 @@ fn clear_tray(
     // Plans without a grasp, or grasps of nothing, one after the other.
     let mut in_vain = 0;
     while !contents.present.is_empty() && in_vain < settings.give_up {
+        let before = done.attempts.len() as u64;
+        // Nobody is asked for an object that is not there.
+        done.put_back += put_back(&mut world, conditions.station, derive(run_seed, &[3, before]));
         let number = done.attempts.len() + 1;
         let [noise_seed, plan_seed] = [1, 2].map(|purpose| derive(run_seed, &[purpose, number as u64]));
         // Every attempt begins in a world that was read from its file, so that it can be repeated from it exactly.
@@ -334,7 +305,6 @@ fn clear_tray(
                 contents.take(&mut world, at);
             }
             settle(&mut world, SETTLE_S);
-            done.put_back += put_back(&mut world, conditions.station, derive(run_seed, &[3, number as u64]));
         } else {
             in_vain += 1;
         }
@@ -356,23 +326,4 @@ fn clear_tray(
     }
     done.items = contents.items;
     Ok(done)
-}
-
-/// Drops objects that have left the tray back into its middle, one by one; how many there were.
-fn put_back(world: &mut World, station: &Station, seed: u64) -> usize {
-    let mut count = 0;
-    for (i, id) in world.ids().into_iter().enumerate() {
-        let Some(pose) = world.pose(id) else { continue };
-        if station.holds(&Point3::from(pose.translation.vector), OUTSIDE_M) {
-            continue;
-        }
-        // Anywhere in the middle 12 cm.
-        let jitter = |axis: u64| (derive(seed, &[i as u64, axis]) % 1000) as f64 / 1000.0 * 0.12 - 0.06;
-        let above =
-            Isometry3::from_parts(nalgebra::Translation3::new(jitter(0), jitter(1), 0.2), pose.rotation);
-        world.place(id, &above);
-        settle(world, SETTLE_S);
-        count += 1;
-    }
-    count
 }

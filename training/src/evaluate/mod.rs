@@ -9,6 +9,7 @@ mod station;
 // Trays cleared by every hand.
 mod attempt;
 mod clear;
+mod contents;
 mod replay;
 mod report;
 
@@ -16,10 +17,11 @@ mod report;
 pub mod ap;
 
 // Numbers and how they are shown.
+pub mod picture;
 pub mod statistics;
 mod table;
 
-pub use attempt::{Attempt, Class, Figures, Nothing};
+pub use attempt::{Attempt, Class, Figures, Nothing, command};
 pub use clear::{ClearSettings, Item, Observer, Run, Setup, Silent, clear};
 pub use items::{draw, fits};
 pub use replay::{FailedTrial, Replay, plan_again, replay};
@@ -52,6 +54,9 @@ pub enum EvaluationError {
     /// A trial's file cannot be read.
     #[error("the trial cannot be read")]
     Trial(#[from] serde_json::Error),
+    /// The objects find no place in the tray.
+    #[error("the objects cannot be poured")]
+    Arrange(#[from] graspd_sim::clutter::ArrangeError),
     /// The system gives no threads.
     #[error("no threads")]
     Threads(#[from] rayon::ThreadPoolBuildError),

@@ -1,15 +1,24 @@
 //! The place where grasps are measured: a tray on a table, a calibrated depth camera above it
 //! (Supplementary Note 7).
 
+use std::sync::Arc;
+
 use graspd_planner::frame::{DepthImage, Frame, Intrinsics};
 use graspd_planner::options::{KeepOut, Region, SceneOptions, VolumeKind, WorkspaceRequest};
 use graspd_planner::workspace::TABLE_HEIGHT_M;
 use graspd_sim::camera::look_at;
+use graspd_sim::clutter::{Arrangement, arrange};
+use graspd_sim::object::Object;
 use graspd_sim::render::capture;
 use graspd_sim::sensor::Sensor;
 use graspd_sim::world::{Tray, World, WorldSettings};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
+use super::EvaluationError;
+use super::seeds::derive;
+
+/// How often objects are poured anew where some find no rest.
+const POURINGS: u64 = 5;
 /// Depth noise smears walls by about this much, metres.
 const WALL_NOISE_M: f64 = 0.008;
 /// Hands keep this far from the walls, metres.
@@ -52,6 +61,23 @@ impl Station {
     fn new(world: WorldSettings, eye: &Point3<f64>) -> Self {
         let world_from_camera = look_at(eye, &Point3::new(0.0, 0.0, 0.02), &Vector3::z());
         Self { world, sensor: Sensor::azure_kinect(), world_from_camera }
+    }
+
+    /// The station's world with objects poured into it. Where they find no rest with a seed, others follow from it.
+    ///
+    /// # Errors
+    /// [`EvaluationError::Arrange`] when they find none with any of [`POURINGS`].
+    pub(crate) fn poured(&self, objects: &[Arc<Object>], seed: u64) -> Result<World, EvaluationError> {
+        let mut pouring = 0;
+        loop {
+            // The first pouring is that of the seed itself.
+            let seed = if pouring == 0 { seed } else { derive(seed, &[pouring]) };
+            match arrange(&self.world, objects, Arrangement::Pile, seed) {
+                Ok(world) => return Ok(world),
+                Err(error) if pouring + 1 == POURINGS => return Err(error.into()),
+                Err(_) => pouring += 1,
+            }
+        }
     }
 
     /// One noisy depth frame of a world, as the planner reads it.

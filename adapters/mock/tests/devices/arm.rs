@@ -286,3 +286,14 @@ async fn a_blocked_motion_is_a_protective_stop_within_a_second_and_the_way_back_
     assert!(apart(&arm.state(SECOND).await.unwrap().world_from_flange, &above) < 1e-3);
     assert!(shared.time_s() - began_s < 1.5);
 }
+
+#[tokio::test]
+async fn an_arm_whose_base_is_nowhere_is_refused() {
+    let shared = shared(0.0);
+    let hand = gripper(&shared).await;
+    for base_m in [[f64::NAN, 0.4, 0.15], [0.0, f64::INFINITY, 0.15]] {
+        let settings = ArmSettings { base_m, ..ArmSettings::default() };
+        let error = MockArm::new(&shared, hand, settings, Faults::default()).unwrap_err();
+        assert_eq!((error.field.as_str(), error.expected), ("base_m", "a finite number"));
+    }
+}

@@ -231,3 +231,17 @@ async fn a_dropped_capture_leaves_a_usable_camera() {
     tokio::time::sleep(Duration::from_millis(50)).await;
     assert_eq!(shared.time_s(), still_s, "nobody waits: the world stands still");
 }
+
+#[tokio::test]
+async fn a_frame_rate_that_cannot_be_counted_is_refused() {
+    let shared = shared(0.0);
+    let mount = Mount::Fixed { world_from_camera: Isometry3::identity() };
+    for (frame_rate_hz, expected) in
+        [(1e22, "at most 10000"), (0.0, "a number above 0"), (f64::NAN, "a number above 0")]
+    {
+        let settings = CameraSettings { frame_rate_hz, ..CameraSettings::default() };
+        let sensor = Sensor::ideal(lens());
+        let error = MockCamera::new(&shared, settings, sensor, mount, Faults::default()).unwrap_err();
+        assert_eq!((error.field.as_str(), error.expected), ("frame_rate_hz", expected));
+    }
+}

@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use anyhow::Context as _;
 use clap::Args;
 use graspd_cell::record::{Replay, read_attempts, read_run, replay};
 use serde_json::json;
@@ -30,14 +31,21 @@ pub(super) fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     if let Some(url) = &args.server {
         config.planner.endpoint.clone_from(url);
     }
+    // The file may have been written by anybody.
+    config.check().with_context(|| format!("{}", args.run.join("run.json").display()))?;
     let attempts: Vec<u32> = match args.attempt {
         Some(attempt) => vec![attempt],
         None => {
-            let planned = read_attempts(&args.run)?.into_iter().filter(|a| a.answer.is_some());
+            let attempts = read_attempts(&args.run)?;
+            if let Some(line) = attempts.cut_line {
+                let note = "was cut off when the run was killed, and is left out";
+                writeln!(std::io::stderr(), "attempts.jsonl: line {line} {note}").ok();
+            }
+            let planned = attempts.records.into_iter().filter(|a| a.answer.is_some());
             planned.map(|a| a.attempt).collect()
         }
     };
-    let timeout = Duration::from_secs_f64(config.timeouts.plan_s);
+    let timeout = Duration::try_from_secs_f64(config.timeouts.plan_s)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let different = runtime.block_on(super::with_planner(&config, async |planner| {
         let mut different = 0;

@@ -182,7 +182,7 @@ fn fill(simulation: &Simulation, settings: &WorldSettings) -> anyhow::Result<Wor
         ArrangementName::Pile => Arrangement::Pile,
         ArrangementName::Packed => Arrangement::Packed,
     };
-    Ok(arrange(settings, &assortment(count, simulation.seed), how, simulation.seed))
+    arrange(settings, &assortment(count, simulation.seed), how, simulation.seed).context("simulation")
 }
 
 /// Tells by physics what became of the objects.

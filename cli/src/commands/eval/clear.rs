@@ -131,7 +131,8 @@ pub(crate) fn run(args: &ClearArgs) -> anyhow::Result<()> {
             args.seed
         ),
         format!(
-            "contact estimator {}, {} volume, {} candidates, [{}, {}] iterations; Azure Kinect with noise, calibrated pose",
+            "contact estimator {}, {} volume, {} candidates, [{}, {}] iterations; Azure Kinect with noise, calibrated \
+             pose",
             estimator.name(),
             if args.volume == VolumeKind::Tsdf { "TSDF" } else { "occupancy" },
             args.batch,
@@ -160,11 +161,35 @@ pub(crate) fn run(args: &ClearArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Attempts so far, told apart as in the table: a plan without a grasp is no trial.
+#[derive(Debug, Clone, Copy, Default)]
+struct Counts {
+    trials: usize,
+    successes: usize,
+    empty_plans: usize,
+}
+
+impl Counts {
+    fn add(&mut self, class: Class) {
+        match class {
+            Class::NoGrasp => self.empty_plans += 1,
+            _ => self.trials += 1,
+        }
+        self.successes += usize::from(class == Class::Success);
+    }
+
+    fn text(self) -> String {
+        let Self { trials, successes, empty_plans } = self;
+        let rate = 100.0 * successes as f64 / trials.max(1) as f64;
+        format!("{trials} trials, {rate:.0}% successful, {empty_plans} plans without a grasp")
+    }
+}
+
 /// Shows progress on standard error, and writes failed trials as they happen.
 struct Watcher<'a> {
     bar: ProgressBar,
     folder: Option<&'a Path>,
-    counts: Mutex<(usize, usize)>,
+    counts: Mutex<Counts>,
     trouble: Mutex<Option<anyhow::Error>>,
 }
 
@@ -194,10 +219,8 @@ impl<'a> Watcher<'a> {
 impl Observer for Watcher<'_> {
     fn attempt(&self, attempt: &Attempt) {
         let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-        counts.0 += usize::from(attempt.class == Class::Success);
-        counts.1 += 1;
-        let rate = 100.0 * counts.0 as f64 / counts.1 as f64;
-        self.bar.set_message(format!("{} trials, {rate:.0}% successful", counts.1));
+        counts.add(attempt.class);
+        self.bar.set_message(counts.text());
     }
 
     fn failed(&self, trial: &FailedTrial) {
@@ -210,5 +233,20 @@ impl Observer for Watcher<'_> {
 
     fn run(&self, _: &Run) {
         self.bar.inc(1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn progress_counts_as_the_table_does() {
+        let mut counts = Counts::default();
+        assert_eq!(counts.text(), "0 trials, 0% successful, 0 plans without a grasp");
+        for class in [Class::Success, Class::NoGrasp, Class::LostLifting, Class::NoGrasp] {
+            counts.add(class);
+        }
+        assert_eq!(counts.text(), "2 trials, 50% successful, 2 plans without a grasp");
     }
 }

@@ -6,12 +6,11 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use clap::Args;
-use graspd_sim::camera::{Pinhole, look_at};
 use graspd_sim::execute::Moment;
-use graspd_sim::render::{RgbImage, capture, depth_picture, picture};
+use graspd_sim::render::{RgbImage, capture, depth_picture};
 use graspd_sim::world::World;
-use graspd_training::evaluate::{FailedTrial, Replay, Station, plan_again, replay};
-use nalgebra::{Isometry3, Point3, Vector3};
+use graspd_training::evaluate::{FailedTrial, Replay, Station, picture, plan_again, replay};
+use nalgebra::Point3;
 
 use crate::commands::plan::write_file;
 use crate::{hand_source, local};
@@ -55,9 +54,9 @@ pub(crate) fn run(args: &LookArgs) -> anyhow::Result<()> {
     let mut watch = |moment: Moment, world: &World| {
         if args.out.is_some() {
             if moment == Moment::Before {
-                focus = middle(world);
+                focus = picture::focus(world);
             }
-            panels.push(panel(world, &focus));
+            panels.push(picture::close_up(world, &focus, PANEL_PX));
         }
     };
     let result = if args.plan {
@@ -81,7 +80,7 @@ pub(crate) fn run(args: &LookArgs) -> anyhow::Result<()> {
         let depth = station.sensor.observe(&view, trial.noise_seed);
         let range = [0.55, 0.85];
         panels.push(scaled(&depth_picture(&depth, range), PANEL_PX[1]));
-        write_file(path, &png(&beside(&panels))?)?;
+        write_file(path, &png(&picture::beside(&panels))?)?;
         writeln!(out, "drawn: {} (pre-grasp, contact, end, depth image)", path.display())?;
     }
     Ok(())
@@ -121,32 +120,6 @@ fn describe(trial: &FailedTrial, result: &Replay) -> String {
     text
 }
 
-/// Where to look: half-way between the table and the hand that is about to grasp, over the tray without one.
-fn middle(world: &World) -> Point3<f64> {
-    let hand = world.hand_ids().first().and_then(|&id| world.hand_state(id));
-    hand.map_or_else(Point3::origin, |state| {
-        let t = state.world_from_hand.translation.vector;
-        Point3::new(t.x, t.y, 0.25 * t.z)
-    })
-}
-
-/// The world from the front, near the grasp.
-fn panel(world: &World, focus: &Point3<f64>) -> RgbImage {
-    let [width, height] = PANEL_PX;
-    let lens = Pinhole {
-        width,
-        height,
-        fx_px: 620.0,
-        fy_px: 620.0,
-        cx_px: (width as f64 - 1.0) / 2.0,
-        cy_px: (height as f64 - 1.0) / 2.0,
-    };
-    let target = focus + Vector3::new(0.0, 0.0, 0.04);
-    let world_from_camera: Isometry3<f64> =
-        look_at(&(target + Vector3::new(0.3, -0.5, 0.32)), &target, &Vector3::z());
-    picture(world, &lens, &world_from_camera)
-}
-
 /// A picture scaled to a height, by the nearest pixel.
 fn scaled(image: &RgbImage, height: usize) -> RgbImage {
     let width = image.width * height / image.height.max(1);
@@ -156,15 +129,6 @@ fn scaled(image: &RgbImage, height: usize) -> RgbImage {
             image.pixels[v * image.width + u]
         })
         .collect();
-    RgbImage { width, height, pixels }
-}
-
-/// Pictures of the same height side by side.
-fn beside(images: &[RgbImage]) -> RgbImage {
-    let height = images.iter().map(|i| i.height).min().unwrap_or(0);
-    let width = images.iter().map(|i| i.width).sum();
-    let row = |v: usize| images.iter().flat_map(move |i| &i.pixels[v * i.width..(v + 1) * i.width]);
-    let pixels = (0..height).flat_map(row).copied().collect();
     RgbImage { width, height, pixels }
 }
 

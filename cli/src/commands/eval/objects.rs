@@ -6,7 +6,6 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use clap::Args;
 use graspd_hands::library;
-use graspd_hands::mesh::{parse_obj, parse_stl};
 use graspd_sim::mesh::Mesh;
 use graspd_sim::object::{MeshOptions, Object};
 use graspd_training::evaluate::{draw, fits};
@@ -14,8 +13,6 @@ use graspd_training::evaluate::{draw, fits};
 /// The hands of Supplementary Table 4: the narrowest of them decides how wide procedural objects may be.
 const TABLE_HANDS: [&str; 7] =
     ["finray-2f", "robotiq-2f85", "robotiq-3f", "model-o", "finray-4f", "brunel", "leap"];
-/// Most triangles of a mesh.
-const MOST_TRIANGLES: usize = 200_000;
 
 /// Which objects are grasped.
 #[derive(Debug, Clone, Args)]
@@ -93,10 +90,10 @@ fn extension(path: &Path) -> String {
 fn read(path: &Path, options: &MeshOptions) -> anyhow::Result<Arc<Object>> {
     let at = || path.display().to_string();
     let bytes = std::fs::read(path).with_context(at)?;
-    let parse = if extension(path) == "stl" { parse_stl } else { parse_obj };
-    let (vertices, triangles) = parse(&bytes, MOST_TRIANGLES).with_context(at)?;
+    let parse = if extension(path) == "stl" { Mesh::from_stl } else { Mesh::from_obj };
+    let mesh = parse(&bytes).with_context(at)?;
     let name = path.file_stem().map_or_else(at, |stem| stem.to_string_lossy().into_owned());
-    Ok(Arc::new(Object::from_mesh(name, Mesh { vertices, triangles }, options).with_context(at)?))
+    Ok(Arc::new(Object::from_mesh(name, mesh, options).with_context(at)?))
 }
 
 /// How far the narrowest hand of the table opens, metres.

@@ -2,7 +2,9 @@
 
 mod body;
 mod drive;
+mod force;
 mod motors;
+mod overlap;
 #[cfg(test)]
 mod tests;
 mod wrist;
@@ -17,6 +19,7 @@ use super::{HandSettings, ObjectId, TRAY, World};
 use crate::convert;
 use body::HandBody;
 use drive::Drives;
+pub use force::WristForce;
 use motors::Motors;
 use wrist::Wrist;
 
@@ -210,6 +213,13 @@ impl World {
         if let Some(placed) = self.hands.iter_mut().find(|h| h.id == id) {
             placed.wrist.guide(world_from_hand);
         }
+    }
+
+    /// Velocity of the point of a hand's root link that is at `point` (world frame), metres per second; `None` when
+    /// the hand is not in the world.
+    pub fn hand_velocity_at(&self, id: HandId, point: &Point3<f64>) -> Option<Vector3<f64>> {
+        let body = self.physics.bodies.get(*self.placed_hand(id)?.body.bodies.first()?)?;
+        Some(convert::from_vector(body.velocity_at_point(convert::point(point))))
     }
 
     /// What a hand reports now; `None` when it is not in the world.

@@ -12,8 +12,8 @@ use crate::world::HandSettings;
 const ACCELERATION: f64 = 2.0;
 /// Time in which the wrist makes up for a position error, seconds.
 const CATCH_UP_S: f64 = 0.02;
-/// The reference waits when the wrist lags behind by this much, metres.
-const LAG_M: f64 = 0.002;
+/// The reference waits when the wrist lags behind by this much, metres and radians.
+const LAG: (f64, f64) = (2e-3, 2e-2);
 /// The wrist has arrived when it is this close, metres and radians.
 const ARRIVED: (f64, f64) = (5e-4, 2e-3);
 
@@ -56,7 +56,7 @@ impl Wrist {
     /// Moves from where the reference is to a pose; from where the wrist is when something holds it back: a
     /// reference that waits for the wrist would otherwise press on, and no new motion would ever begin.
     pub(super) fn go(&mut self, at: &Isometry3<f64>, to: &Isometry3<f64>, speed_m_s: f64, turn_rad_s: f64) {
-        if self.lag(at) > LAG_M {
+        if self.lags(at) {
             self.reference = *at;
         }
         let (speed, turn) = (speed_m_s.clamp(1e-4, 5.0), turn_rad_s.clamp(1e-3, 20.0));
@@ -105,8 +105,10 @@ impl Wrist {
         (lead(&now.0, linear + error_linear, most), lead(&now.1, angular + error_angular, most_angular))
     }
 
-    fn lag(&self, at: &Isometry3<f64>) -> f64 {
-        (self.reference.translation.vector - at.translation.vector).norm()
+    /// True while something holds the wrist back, on its way or in its turn.
+    fn lags(&self, at: &Isometry3<f64>) -> bool {
+        (self.reference.translation.vector - at.translation.vector).norm() > LAG.0
+            || self.reference.rotation.angle_to(&at.rotation) > LAG.1
     }
 
     fn advance(&mut self, at: &Isometry3<f64>, dt: f64) {
@@ -115,7 +117,7 @@ impl Wrist {
             (self.length, self.done, self.rate) = (0.0, 0.0, 0.0);
             return;
         }
-        if self.lag(at) > LAG_M || self.done >= self.length {
+        if self.lags(at) || self.done >= self.length {
             self.rate = 0.0;
             return;
         }
@@ -138,4 +140,28 @@ fn twist(from: &Isometry3<f64>, to: &Isometry3<f64>, time_s: f64) -> Twist {
         (to.translation.vector - from.translation.vector) / time_s,
         (to.rotation * from.rotation.inverse()).scaled_axis() / time_s,
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where the reference of a wrist that does not move is after two seconds on its way to `to`.
+    fn held_back(to: &Isometry3<f64>) -> Isometry3<f64> {
+        let (at, still) = (Isometry3::identity(), (Vector3::zeros(), Vector3::zeros()));
+        let mut wrist = Wrist::new(&at);
+        wrist.go(&at, to, 0.25, 1.0);
+        for _ in 0..800 {
+            wrist.step(&at, &still, 1.0 / 400.0, &HandSettings::default());
+        }
+        wrist.reference
+    }
+
+    #[test]
+    fn the_reference_waits_for_a_wrist_that_cannot_move_or_cannot_turn() {
+        let moved = held_back(&Isometry3::translation(0.3, 0.0, 0.0));
+        assert!(moved.translation.vector.norm() < 0.01, "{moved}");
+        let turned = held_back(&Isometry3::rotation(Vector3::z() * 1.5));
+        assert!(turned.rotation.angle() < 0.05, "{turned}");
+    }
 }

@@ -22,7 +22,7 @@ const FINGER_M: f64 = 0.01;
 const LEAST_POINTS: usize = 10;
 /// Rays from each jaw, along its depth and across its height.
 const RAYS: [usize; 2] = [25, 5];
-/// Chords that differ by less than this are as wide as each other, metres.
+/// Chords that are narrower than the widest by less than this are as wide, metres.
 const SAME_M: f64 = 1e-4;
 
 /// Friction coefficients at which grasps are scored, from the easiest. The paper's AP averages the last five.
@@ -36,10 +36,8 @@ pub struct JawGrasp {
     pub world_from_jaw: Isometry3<f64>,
     /// Distance between the jaws before they close, metres.
     pub width_m: f64,
-    /// Where contact is expected, world frame: decides between chords that are as wide as each other.
+    /// Where contact is expected, world frame: decides between chords that are as wide as the widest.
     pub expected: Point3<f64>,
-    /// The planner's score.
-    pub score: f64,
 }
 
 /// An object of the exact scene.
@@ -106,17 +104,27 @@ pub fn judge(grasp: &JawGrasp, points: &[Point3<f64>], target: &Target<'_>) -> V
 /// A point on a surface, with its normal.
 type Contact = (Point3<f64>, Unit<Vector3<f64>>);
 
+/// What two rays of one line found.
+struct Chord {
+    width_m: f64,
+    /// Distance from where contact is expected, across the line, metres.
+    off_m: f64,
+    contacts: [Contact; 2],
+}
+
 /// Where the jaws meet the object: rays go from each jaw to the other, in pairs on one line; the pair with the
-/// widest chord touches first once the object has slid to the middle.
+/// widest chord touches first once the object has slid to the middle, and of those as wide as it the one nearest to
+/// where contact was expected.
 ///
 /// The benchmark closes along one line, through the finger tips' middle, in a signed distance grid; this jaw is
-/// three times as deep as the benchmark's, so that all of the pads may touch, and the surface is exact.
+/// three times as deep as the benchmark's, so that all of the pads may touch, and the surface is exact. Its one line
+/// leaves no choice; here flat sides leave many, and the planner's own expectation decides.
 fn contacts(grasp: &JawGrasp, target: &Target<'_>) -> Option<[Contact; 2]> {
     let pose = &grasp.world_from_jaw;
     let half = 0.5 * grasp.width_m;
     let expected = pose.inverse_transform_point(&grasp.expected);
     let inwards = pose.rotation * Vector3::y_axis();
-    let mut best: Option<(f64, f64, [Contact; 2])> = None;
+    let mut chords: Vec<Chord> = Vec::new();
     for i in 0..RAYS[0] {
         for j in 0..RAYS[1] {
             // Middles of equal cells, so that no ray runs along an edge of the pad.
@@ -129,24 +137,26 @@ fn contacts(grasp: &JawGrasp, target: &Target<'_>) -> Option<[Contact; 2]> {
             ) else {
                 continue;
             };
-            let chord = grasp.width_m - a.distance_m - b.distance_m;
-            if chord <= 0.0 {
+            let width_m = grasp.width_m - a.distance_m - b.distance_m;
+            if width_m <= 0.0 {
                 continue;
             }
-            let off = (x - expected.x).hypot(z - expected.z);
-            let better = best.as_ref().is_none_or(|&(widest, nearest, _)| {
-                chord > widest + SAME_M || (chord > widest - SAME_M && off < nearest)
-            });
-            if better {
-                let pair = [
-                    (left + inwards.into_inner() * a.distance_m, a.normal),
-                    (right - inwards.into_inner() * b.distance_m, b.normal),
-                ];
-                best = Some((chord, off, pair));
-            }
+            let contacts = [
+                (left + inwards.into_inner() * a.distance_m, a.normal),
+                (right - inwards.into_inner() * b.distance_m, b.normal),
+            ];
+            chords.push(Chord { width_m, off_m: (x - expected.x).hypot(z - expected.z), contacts });
         }
     }
-    best.map(|(_, _, pair)| pair)
+    touching(chords).map(|chord| chord.contacts)
+}
+
+/// The chord that touches first. The widest is found before any choice among its equals: else many small steps
+/// from one to the next would lead away from it.
+fn touching(chords: Vec<Chord>) -> Option<Chord> {
+    let widest_m = chords.iter().map(|c| c.width_m).fold(0.0, f64::max);
+    let as_wide = chords.into_iter().filter(|c| c.width_m > widest_m - SAME_M);
+    as_wide.min_by(|a, b| a.off_m.total_cmp(&b.off_m))
 }
 
 /// Nguyen's antipodal test (1988) at each friction, from the easiest, until the first that fails: the line
@@ -178,7 +188,7 @@ mod tests {
         let turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
         let t = nalgebra::Translation3::new(0.0, aside, 0.01 + DEPTH_M);
         let world_from_jaw = Isometry3::from_parts(t, turn * down);
-        JawGrasp { world_from_jaw, width_m, expected: Point3::new(0.0, 0.0, 0.025), score: 1.0 }
+        JawGrasp { world_from_jaw, width_m, expected: Point3::new(0.0, 0.0, 0.025) }
     }
 
     fn judged(grasp: &JawGrasp) -> Verdict {
@@ -204,6 +214,20 @@ mod tests {
         let mut low = from_above(0.0, 0.0, 0.08);
         low.world_from_jaw.translation.z -= 0.02;
         assert_eq!(judged(&low), Verdict::Collision);
+    }
+
+    #[test]
+    fn small_steps_do_not_lead_away_from_the_widest_chord() {
+        let contact = (Point3::origin(), Vector3::y_axis());
+        // Each 0.08 mm narrower than the last and nearer to where contact is expected: a wedge.
+        let wedge = (0..20).map(|i| Chord {
+            width_m: 0.04 - 8e-5 * f64::from(i),
+            off_m: 0.02 - 1e-3 * f64::from(i),
+            contacts: [contact; 2],
+        });
+        let chosen = touching(wedge.collect()).unwrap();
+        assert!(chosen.width_m > 0.04 - SAME_M && chosen.off_m < 0.02, "{} m", chosen.width_m);
+        assert!(touching(Vec::new()).is_none());
     }
 
     #[test]

@@ -1,12 +1,16 @@
 //! Average precision of the parallel jaw, as Supplementary Note 3 measures it: many grasps a view, judged
 //! analytically against the exact scene instead of being executed.
 
+mod exact;
 mod jaw;
+mod planned;
 mod precision;
+mod report;
 mod run;
 mod surface;
 
 pub use jaw::{DEPTH_M, FRICTIONS, HEIGHT_M, JawGrasp, MAX_WIDTH_M, Target, Verdict, judge};
 pub use precision::{PER_OBJECT, Precision, TOP, average_precision, select, suppress};
-pub use run::{ApReport, ApSettings, VolumeResult, average};
+pub use report::{ApReport, VolumeResult};
+pub use run::{ApSettings, average};
 pub use surface::{Hit, SPACING_M, cast, sample, table_points};

@@ -1,0 +1,51 @@
+//! The force that an arm feels at the wrist: the one measure by which guarded moves stop, in trials and in mock arms.
+
+use nalgebra::Vector3;
+
+use super::{HandId, Touched};
+use crate::world::World;
+
+/// What a force sensor at the wrist measures: the sum, as vectors, of all that presses on the hand from outside,
+/// smoothed. What fingers hold presses on them from all sides and cancels; what stands in the hand's way does not.
+#[derive(Debug, Clone)]
+pub struct WristForce {
+    filter_s: f64,
+    /// From table and tray, newtons, world frame.
+    fixed: Vector3<f64>,
+    /// From objects and other hands.
+    movable: Vector3<f64>,
+}
+
+impl WristForce {
+    /// Time over which arms smooth the force where nothing else is said, seconds.
+    pub const FILTER_S: f64 = 0.02;
+
+    /// A sensor that smooths over a time in seconds and has felt nothing yet.
+    pub fn new(filter_s: f64) -> Self {
+        Self { filter_s, fixed: Vector3::zeros(), movable: Vector3::zeros() }
+    }
+
+    /// Takes in the world's last step; to be called after each. The force now, newtons.
+    pub fn feel(&mut self, world: &World, hand: HandId) -> f64 {
+        let (mut fixed, mut movable) = (Vector3::zeros(), Vector3::zeros());
+        for contact in world.hand_contacts(hand) {
+            let force = -contact.normal * contact.force_n;
+            match contact.touched {
+                Touched::Table | Touched::Tray => fixed += force,
+                Touched::Hand(id) if id == hand => {}
+                Touched::Object(_) | Touched::Hand(_) => movable += force,
+            }
+        }
+        let dt = world.settings().dt_s;
+        let blend = dt / self.filter_s.max(dt);
+        self.fixed += (fixed - self.fixed) * blend;
+        self.movable += (movable - self.movable) * blend;
+        (self.fixed + self.movable).norm()
+    }
+
+    /// True when table and tray have the greater part in the force.
+    pub fn is_mostly_fixed(&self) -> bool {
+        let sum = self.fixed + self.movable;
+        self.fixed.dot(&sum) > self.movable.dot(&sum)
+    }
+}
