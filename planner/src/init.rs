@@ -14,6 +14,11 @@ use crate::refine::CenteredCentroid;
 /// Hands that start shaped for a small object start closed by up to this share.
 const MOST_CLOSED: f64 = 0.8;
 
+/// Share of the hands with three fingers or more that start as a pinch of two.
+const PINCHING: f64 = 0.4;
+/// Two fingers can pinch when the mean normals of their pads differ by more than the angle with minus this cosine (120°).
+const FACING: f64 = 0.5;
+
 /// Where initial configurations come from: one hand, one scene, one request.
 #[derive(Debug, Clone)]
 pub(crate) struct Initializer<'a> {
@@ -68,12 +73,38 @@ impl Initializer<'_> {
         let points = &self.model.points;
         let normals: Vec<Vector3<f64>> =
             points.iter().map(|p| kinematics.direction(p.body, &p.normal)).collect();
-        let shares = balance::shares(&normals, self.model.hand.pads.len());
+        let used = self.used(&normals, rng);
+        let shares = balance::shares(&normals, &used, self.model.hand.pads.len());
         let mean: Vector3<f64> =
             points.iter().zip(&shares).map(|(p, w)| kinematics.point(p.body, &p.point) * *w).sum();
         let target = self.pick(rng);
         configuration.translation = target - mean - axis * self.model.hand.start_offset_m;
         (configuration, reaching, shares)
+    }
+
+    /// Which contact candidates a configuration grasps with: those of all fingers or, for some of the hands, those of
+    /// two fingers that face each other. What is small has no room for more, and a hand whose fingers stand in pairs
+    /// takes it between the two of one pair, not in its middle.
+    fn used(&self, normals: &[Vector3<f64>], rng: &mut impl rand::Rng) -> Vec<bool> {
+        let hand = self.model.hand;
+        let finger = |i: usize| hand.pads[hand.candidates[i].pad].finger;
+        let all = vec![true; normals.len()];
+        if hand.fingers.len() < 3 || rng.random::<f64>() >= PINCHING {
+            return all;
+        }
+        let mut push = vec![Vector3::zeros(); hand.fingers.len()];
+        for (i, n) in normals.iter().enumerate() {
+            push[finger(i)] += n;
+        }
+        let facing: Vec<(usize, usize)> = (0..push.len())
+            .flat_map(|a| (0..a).map(move |b| (b, a)))
+            .filter(|&(a, b)| push[a].dot(&push[b]) < -FACING * push[a].norm() * push[b].norm())
+            .collect();
+        if facing.is_empty() {
+            return all;
+        }
+        let (a, b) = facing[rng.random_range(0..facing.len())];
+        (0..normals.len()).map(|i| finger(i) == a || finger(i) == b).collect()
     }
 
     /// A centred centroid, drawn by weight.

@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Isometry3, Point3, Translation3, Unit, Vector3};
+use nalgebra::{Point3, Translation3, Unit, Vector3};
 
 use super::collision::{self, SCENE_TOLERANCE_VOXELS, SELF_TOLERANCE_M, TABLE_TOLERANCE_M};
 use super::force_closure::{self, Directions, Push};
+use super::touch::{self, Touch};
 use super::{closing, opposition, score};
 use crate::configuration::Configuration;
-use crate::grasp::{Grasp, GraspContact, ObjectiveTerms, Postures, RejectReason};
+use crate::grasp::{Grasp, ObjectiveTerms, Postures, RejectReason};
 use crate::hand_model::HandModel;
 use crate::objective::{Objective, Scratch};
 use crate::optimize::Candidate;
@@ -23,8 +24,6 @@ const CONTACT_VOXELS: f64 = 1.5;
 const ALIGNED: f64 = 0.2;
 /// Smallest force-closure margin.
 const LEAST_MARGIN: f64 = 0.005;
-/// The line between two fingers may leave their friction cones by this much, radians.
-const OPPOSED_SLACK_RAD: f64 = 0.2;
 /// Openings that are tried for the approach, from fully open (share of the way from contact to open).
 const OPENINGS: [f64; 4] = [1.0, 0.6, 0.35, 0.2];
 /// A coordinate within this share of its range from the open end is as open as it gets.
@@ -54,19 +53,6 @@ pub(crate) struct Judge<'a> {
     pub(crate) directions: Directions,
 }
 
-/// A contact in the volume frame.
-struct Touch {
-    point: Vector3<f64>,
-    inward: Unit<Vector3<f64>>,
-    /// Group of the object that is touched; 0 where it is not known.
-    object: u16,
-    pad: usize,
-    body: usize,
-    certainty: f64,
-    /// Outward normal of the pad: the way the finger presses.
-    pad_normal: Vector3<f64>,
-}
-
 impl Judge<'_> {
     /// Closes the fingers, checks everything, and makes a grasp of the candidate.
     pub(crate) fn judge(&self, candidate: &Candidate, scratch: &mut Scratch) -> Result<Grasp, Rejection> {
@@ -92,14 +78,14 @@ impl Judge<'_> {
         if !self.allowed.holds(model, &candidate.reaching, &at) {
             return Err(Rejection::new(R::OrientationLimit, 0.0));
         }
-        let touches = self.of_one_object(self.touches(scratch));
-        let center = middle(&touches).unwrap_or(mean);
+        let touches = touch::of_one_object(self.touches(scratch));
+        let center = touch::middle(&touches).unwrap_or(mean);
         let centroid = self.nearest_centroid(&center);
         let label = self.touched_label(&touches);
         if !self.is_target(&centroid, label) {
             return Err(Rejection::new(R::NotTarget, 0.0));
         }
-        let touching = touching_bodies(model, &touches);
+        let touching = touch::touching_bodies(model, &touches);
         let depths = collision::depths(self.objective, &at, &touching, scratch);
         let tolerance = SCENE_TOLERANCE_VOXELS * self.scene.workspace.grid.voxel_m();
         if depths.scene > tolerance {
@@ -116,7 +102,7 @@ impl Judge<'_> {
         if depths.keep_out > 0.0 {
             return Err(Rejection::new(R::KeepOut, depths.keep_out));
         }
-        if fingers_touching(model, &touches) < 2 {
+        if touch::fingers_touching(model, &touches) < 2 {
             return Err(Rejection::new(R::NoContact, 0.0));
         }
         let back = self.options.pregrasp_offset_m.max(0.0);
@@ -130,7 +116,7 @@ impl Judge<'_> {
         if !opposition::face_each_other(&opposition::sides(model.hand.fingers.len(), sides)) {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
         }
-        if !opposed(model, &touches, self.options.friction) {
+        if !touch::opposed(model, &touches, self.options.friction) {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
         }
         let epsilon = force_closure::margin(&arms, self.options.friction, length, &self.directions);
@@ -138,7 +124,8 @@ impl Judge<'_> {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
         }
         let certainty = touches.iter().map(|t| t.certainty).sum::<f64>() / touches.len() as f64;
-        let parts = score::parts(self.contact_objective(&terms), epsilon, room, certainty);
+        let margin = epsilon * touch::squareness(&touches);
+        let parts = score::parts(self.contact_objective(&terms), margin, room, certainty);
         let total = score::total(&parts);
         if total < self.options.min_score {
             return Err(Rejection::new(R::LowScore, 0.0));
@@ -192,20 +179,6 @@ impl Judge<'_> {
                 })
             })
             .collect()
-    }
-
-    /// Of touches on several objects those on the one that most candidates touch: a grasp holds one object, and a
-    /// finger on its neighbour, or on the noise of the table's surface, holds nothing.
-    fn of_one_object(&self, mut touches: Vec<Touch>) -> Vec<Touch> {
-        touches.retain(|t| t.object > 0);
-        let mut counts = BTreeMap::new();
-        for t in &touches {
-            *counts.entry(t.object).or_insert(0usize) += 1;
-        }
-        // The first of equals, so that the choice does not depend on anything but the scene.
-        let most = counts.iter().max_by(|a, b| a.1.cmp(b.1).then(b.0.cmp(a.0))).map(|(o, _)| *o);
-        touches.retain(|t| Some(t.object) == most);
-        touches
     }
 
     /// The centred centroid nearest to the middle of the contacts, of all that the scene has, volume frame.
@@ -301,8 +274,8 @@ impl Judge<'_> {
                 contact: actuators(&at.coordinates),
                 squeezed: actuators(&squeezed),
             },
-            contacts: contacts_by_pad(model, touches, &world_from_volume),
-            jaw_width_m: jaw_width(model, touches),
+            contacts: touch::contacts_by_pad(model, touches, &world_from_volume),
+            jaw_width_m: touch::jaw_width(model, touches),
             score: total,
             parts,
             objective: figures.terms,
@@ -322,93 +295,6 @@ struct Figures {
     terms: ObjectiveTerms,
     centroid: Point3<f64>,
     label: Option<u8>,
-}
-
-/// Middle of the contacts: the mean over pads of each pad's mean, so that a pad with many touching
-/// candidates weighs no more than one with few.
-fn middle(touches: &[Touch]) -> Option<Vector3<f64>> {
-    let pads: std::collections::BTreeSet<usize> = touches.iter().map(|t| t.pad).collect();
-    if pads.is_empty() {
-        return None;
-    }
-    let sum: Vector3<f64> = pads.iter().map(|&p| mean_of(touches, |t| t.pad == p)).sum();
-    Some(sum / pads.len() as f64)
-}
-
-fn mean_of(touches: &[Touch], keep: impl Fn(&Touch) -> bool) -> Vector3<f64> {
-    let kept: Vec<Vector3<f64>> = touches.iter().filter(|t| keep(t)).map(|t| t.point).collect();
-    kept.iter().sum::<Vector3<f64>>() / kept.len().max(1) as f64
-}
-
-/// One contact per touching pad, in the world frame.
-fn contacts_by_pad(
-    model: &HandModel<'_>,
-    touches: &[Touch],
-    world_from_volume: &Isometry3<f64>,
-) -> Vec<GraspContact> {
-    (0..model.hand.pads.len())
-        .filter_map(|pad| {
-            let own: Vec<&Touch> = touches.iter().filter(|t| t.pad == pad).collect();
-            let inward: Vector3<f64> = own.iter().map(|t| t.inward.into_inner()).sum();
-            let inward = Unit::try_new(inward, 1e-6)?;
-            let point = mean_of(touches, |t| t.pad == pad);
-            Some(GraspContact {
-                point: world_from_volume * Point3::from(point),
-                normal: world_from_volume.rotation * -inward,
-                pad,
-                finger: model.hand.pads[pad].finger,
-                certainty: own.iter().map(|t| t.certainty).sum::<f64>() / own.len() as f64,
-            })
-        })
-        .collect()
-}
-
-/// Distance between the two fingers' contacts, for hands with two fingers.
-fn jaw_width(model: &HandModel<'_>, touches: &[Touch]) -> Option<f64> {
-    if model.hand.fingers.len() != 2 {
-        return None;
-    }
-    let of = |finger: usize| {
-        touches
-            .iter()
-            .any(|t| model.hand.pads[t.pad].finger == finger)
-            .then(|| mean_of(touches, |t| model.hand.pads[t.pad].finger == finger))
-    };
-    Some((of(0)? - of(1)?).norm())
-}
-
-fn fingers_touching(model: &HandModel<'_>, touches: &[Touch]) -> usize {
-    let fingers: std::collections::BTreeSet<usize> =
-        touches.iter().map(|t| model.hand.pads[t.pad].finger).collect();
-    fingers.len()
-}
-
-/// Two fingers hold by opposing each other (Nguyen's test, with some slack for pads that are areas): the line between
-/// their contacts must run inside both friction cones. More fingers hold in other ways too.
-fn opposed(model: &HandModel<'_>, touches: &[Touch], friction: f64) -> bool {
-    let fingers: std::collections::BTreeSet<usize> =
-        touches.iter().map(|t| model.hand.pads[t.pad].finger).collect();
-    let sides: Vec<(Vector3<f64>, Vector3<f64>)> = fingers
-        .iter()
-        .map(|finger| {
-            let own = |t: &Touch| model.hand.pads[t.pad].finger == *finger;
-            let inward: Vector3<f64> = touches.iter().filter(|t| own(t)).map(|t| t.inward.into_inner()).sum();
-            (mean_of(touches, own), inward)
-        })
-        .collect();
-    let [(a, into_a), (b, into_b)] = sides[..] else { return true };
-    let least = (friction.atan() + OPPOSED_SLACK_RAD).min(std::f64::consts::FRAC_PI_2).cos();
-    let along =
-        |line: Vector3<f64>, inward: Vector3<f64>| line.dot(&inward) >= least * line.norm() * inward.norm();
-    along(b - a, into_a) && along(a - b, into_b)
-}
-
-fn touching_bodies(model: &HandModel<'_>, touches: &[Touch]) -> Vec<bool> {
-    let mut touching = vec![false; model.hand.tree.bodies.len()];
-    for t in touches {
-        touching[t.body] = true;
-    }
-    touching
 }
 
 /// True when every closing coordinate is at its open end.

@@ -9,6 +9,7 @@ mod reason;
 mod regrip;
 mod score;
 mod suppress;
+mod touch;
 
 pub(crate) use force_closure::Directions;
 pub(crate) use judge::Judge;

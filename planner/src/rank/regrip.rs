@@ -75,6 +75,7 @@ pub(super) fn regrip(
     let apart = |p: &Vector3<f64>| (p - mean).norm_squared();
     let centroids = objective.centroids.iter().map(|c| c.position.coords);
     let Some(target) = centroids.min_by(|a, b| apart(a).total_cmp(&apart(b))) else { return };
+    let used: Vec<bool> = scratch.contacts.share.iter().map(|w| *w > 0.0).collect();
     let back = -(start.rotation * model.approach);
     let mut best: Option<(f64, Configuration)> = None;
     for shape in SHAPES {
@@ -87,7 +88,7 @@ pub(super) fn regrip(
         scratch.kinematics.forward(model, &at);
         let normals: Vec<Vector3<f64>> =
             model.points.iter().map(|p| scratch.kinematics.direction(p.body, &p.normal)).collect();
-        let shares = balance::shares(&normals, model.hand.pads.len());
+        let shares = balance::shares(&normals, &used, model.hand.pads.len());
         let grip: Vector3<f64> = model
             .points
             .iter()
