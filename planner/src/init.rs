@@ -14,6 +14,9 @@ use crate::refine::CenteredCentroid;
 /// Hands that start shaped for a small object start closed by up to this share.
 const MOST_CLOSED: f64 = 0.8;
 
+/// How evenly pads count, against how well their pushes balance, lies between these (see [`balance`]).
+const LEAST_EVEN: f64 = 0.5;
+const MOST_EVEN: f64 = 10.0;
 /// Share of the hands with three fingers or more that start as a pinch of two.
 const PINCHING: f64 = 0.4;
 /// Two fingers can pinch when the mean normals of their pads differ by more than the angle with minus this cosine (120°).
@@ -74,7 +77,9 @@ impl Initializer<'_> {
         let normals: Vec<Vector3<f64>> =
             points.iter().map(|p| kinematics.direction(p.body, &p.normal)).collect();
         let used = self.used(&normals, rng);
-        let shares = balance::shares(&normals, &used, self.model.hand.pads.len());
+        // From nearly balanced to nearly even: which of the two brings a hand to an object depends on both.
+        let evenness = LEAST_EVEN * (MOST_EVEN / LEAST_EVEN).powf(rng.random::<f64>());
+        let shares = balance::shares(&normals, &used, self.model.hand.pads.len(), evenness);
         let mean: Vector3<f64> =
             points.iter().zip(&shares).map(|(p, w)| kinematics.point(p.body, &p.point) * *w).sum();
         let target = self.pick(rng);

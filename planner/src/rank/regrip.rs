@@ -15,6 +15,8 @@ use crate::objective::{Objective, Scratch};
 
 /// Shapes that are tried: shares of the way from where the optimizer left the fingers to closed.
 const SHAPES: [f64; 5] = [0.2, 0.4, 0.55, 0.7, 0.85];
+/// How evenly pads count where they are to balance each other (see [`balance`]).
+const EVENNESS: f64 = 0.2;
 /// A pad touches when a candidate is this close to the surface, voxels ...
 const CONTACT_VOXELS: f64 = 1.5;
 /// ... and faces it, by this cosine at least.
@@ -88,7 +90,7 @@ pub(super) fn regrip(
         scratch.kinematics.forward(model, &at);
         let normals: Vec<Vector3<f64>> =
             model.points.iter().map(|p| scratch.kinematics.direction(p.body, &p.normal)).collect();
-        let shares = balance::shares(&normals, &used, model.hand.pads.len());
+        let shares = balance::shares(&normals, &used, model.hand.pads.len(), EVENNESS);
         let grip: Vector3<f64> = model
             .points
             .iter()
