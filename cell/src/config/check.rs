@@ -93,6 +93,14 @@ impl CellConfig {
             t.wall_clearance_m >= 0.0 && 2.0 * t.wall_clearance_m < t.width_m.min(t.length_m),
             "0 or more, less than half the tray",
         )?;
+        let wall = t.wall_height_m;
+        inside(
+            "tray.wall_height_m",
+            wall,
+            (0.0..=t.volume_m).contains(&wall),
+            "0 (no walls) to tray.volume_m",
+        )?;
+        inside("tray.wall_m", t.wall_m, (0.0005..=0.1).contains(&t.wall_m), "0.0005 to 0.1")?;
         let floor = t.floor_clearance_m;
         inside("tray.floor_clearance_m", floor, (0.0..=0.05).contains(&floor), "0 to 0.05")?;
         positive("tray.height_m", t.height_m, t.volume_m)?;

@@ -125,6 +125,9 @@ mod tests {
                 "[tray]\nwidth_m = 0.5",
                 "tray.width_m: found 0.5, expected more than 0.02, at most tray.volume_m",
             ),
+            ("[tray]\nwall_height_m = -0.01", "tray.wall_height_m: found -0.01, expected 0 (no walls) to"),
+            ("[tray]\nwall_height_m = nan", "tray.wall_height_m: found NaN"),
+            ("[tray]\nwall_m = 0", "tray.wall_m: found 0, expected 0.0005 to 0.1"),
             ("[timeouts]\nmove_s = nan", "timeouts.move_s: found NaN, expected a number above 0"),
             (
                 "[drop]\nposition_m = [0.1, 0, 0.3]",

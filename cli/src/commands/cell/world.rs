@@ -163,7 +163,11 @@ fn tray(config: &CellConfig) -> anyhow::Result<WorldSettings> {
         t.position_m,
         t.yaw_rad
     );
-    let tray = Tray { width_m: t.width_m, length_m: t.length_m, ..Tray::default() };
+    anyhow::ensure!(
+        t.wall_height_m > 0.0,
+        "tray.wall_height_m: found 0, expected more: the simulated tray has walls"
+    );
+    let tray = Tray { width_m: t.width_m, length_m: t.length_m, height_m: t.wall_height_m, wall_m: t.wall_m };
     Ok(WorldSettings { tray: Some(tray), ..WorldSettings::default() })
 }
 
@@ -240,6 +244,7 @@ mod tests {
             ("[simulation.faults.camera]\ndrop = 1.0", "unknown field `drop`"),
             ("[arm.settings]\nreach = 1.0", "arm.settings: unknown field `reach`"),
             ("[tray]\nyaw_rad = 0.5", "tray.yaw_rad"),
+            ("[tray]\nwall_height_m = 0.0", "tray.wall_height_m: found 0"),
             ("[simulation]\nscene = \"none.json\"", "none.json: cannot be read"),
         ] {
             let text = format!("{text}\n[simulation]\nobjects = 0\n");
