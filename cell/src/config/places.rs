@@ -7,7 +7,7 @@ use crate::plan::{BoxRecord, WorkspaceRecord};
 use crate::pose::PoseRecord;
 
 /// Height of the tray's floor in the volume, metres: room below it for noise.
-pub(super) const FLOOR_IN_VOLUME_M: f64 = 0.05;
+const FLOOR_IN_VOLUME_M: f64 = 0.05;
 /// Hands keep this far from the walls, metres.
 const WALL_MARGIN_M: f64 = 0.002;
 
@@ -104,6 +104,14 @@ impl TrayConfig {
             around([0.0, y + t], along_x),
             around([0.0, -y - t], along_x),
         ]
+    }
+
+    /// How far a point of the world is outside the planner's volume: along the tray's x and y (0 within), and above the
+    /// volume's top (negative below).
+    pub(super) fn outside_volume(&self, point: &[f64; 3]) -> [f64; 3] {
+        let at = self.pose(0.0, 0.0, 0.0).inverse_transform_point(&(*point).into());
+        let sideways = |c: f64| (c.abs() - self.volume_m / 2.0).max(0.0);
+        [sideways(at.x), sideways(at.y), at.z - (self.volume_m - FLOOR_IN_VOLUME_M)]
     }
 
     /// Height of the floor, world frame, metres.

@@ -120,7 +120,9 @@ pub(super) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
     let [x, y, _] = config.drop.position_m;
     let bin = Bin { center_m: [x, y], ..Bin::default() };
     let shared = SharedWorldSettings { speed: simulation.speed, bins: vec![bin] };
-    let shared = SharedWorld::new(world, shared).context("simulation")?;
+    let shared = SharedWorld::new(world, shared).with_context(|| {
+        format!("simulation: the bin stands around drop.position_m = {:?}", config.drop.position_m)
+    })?;
     let drop = Vector3::from(config.drop.position_m);
     let home = pointing_down(&hand.approach, &Vector3::x(), &hand.tool_point.coords, &drop, 0.0);
     let mounted = shared.add_hand(Arc::new(hand.clone()), home, None).await?;
@@ -244,6 +246,10 @@ mod tests {
             ("[simulation.faults.camera]\ndrop = 1.0", "unknown field `drop`"),
             ("[arm.settings]\nreach = 1.0", "arm.settings: unknown field `reach`"),
             ("[tray]\nyaw_rad = 0.5", "tray.yaw_rad"),
+            (
+                "[drop]\nposition_m = [0.22, 0, 0.25]",
+                "the bin stands around drop.position_m = [0.22, 0.0, 0.25]: bins.bin.center_m: found",
+            ),
             ("[tray]\nwall_height_m = 0.0", "tray.wall_height_m: found 0"),
             ("[simulation]\nscene = \"none.json\"", "none.json: cannot be read"),
         ] {
