@@ -1,7 +1,6 @@
 //! The loop with scripted devices: what it does when nothing goes wrong, and what is kept of it.
+#![allow(clippy::unwrap_used, reason = "helpers of tests are not in test functions")]
 
-// What tests share fails like a test.
-#[allow(clippy::unwrap_used)]
 mod scripted;
 
 use graspd_cell::config::CellConfig;
