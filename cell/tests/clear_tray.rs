@@ -1,14 +1,15 @@
 //! The loop with scripted devices: what it does when nothing goes wrong, and what is kept of it.
+#![allow(clippy::unwrap_used, reason = "helpers of tests are not in test functions")]
 
-// What tests share fails like a test.
-#[allow(clippy::unwrap_used)]
 mod scripted;
 
 use graspd_cell::config::CellConfig;
-use graspd_cell::outcome::{End, Holding, Outcome};
+use graspd_cell::outcome::{End, FailureClass, Holding, Outcome};
 use graspd_cell::plan::ReachingChoice;
 use graspd_cell::record::{read_attempts, read_run, replay};
+use graspd_cell::report::Report;
 use graspd_cell::steps::Step;
+use graspd_cell::witness::{Witness, Witnessed};
 use graspd_cell::{CellError, clear_tray};
 use scripted::{Fault, Shared, Watcher, config, run};
 use std::path::PathBuf;
@@ -276,4 +277,92 @@ async fn a_hand_is_told_where_contact_is_expected_in_its_own_order() {
         force: 0.6,
     };
     assert_eq!(*told, [expected.clone(), expected]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_hand_opens_as_the_grasp_asks_among_objects_and_wide_at_the_drop_pose() {
+    let shared = Shared::new(1).with_fault(Step::Approach, Fault::Stop, 1);
+    shared.world().open = 0.3;
+    let (report, log) = run(&shared, &config()).await;
+    assert_eq!((report.end, report.tally.successes), (End::Empty, 1), "{log:?}");
+    let told = |step| {
+        let world = shared.world();
+        world.thumb.iter().filter(|(s, _)| *s == step).map(|(_, at)| *at).collect::<Vec<f64>>()
+    };
+    assert_eq!((told(Step::ClearView), told(Step::Open)), (vec![0.0], vec![0.3, 0.3]));
+    assert_eq!((told(Step::Retreat), told(Step::Release)), (vec![0.3], vec![0.0]));
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_planner_is_told_where_the_walls_are() {
+    let shared = Shared::new(1);
+    let config = config();
+    run(&shared, &config).await;
+    let walls = config.tray.walls();
+    assert_eq!(walls.len(), 4);
+    assert!(shared.world().questions.iter().all(|q| q.keep_out == walls));
+}
+
+/// Sees everything in the scripted world, or nothing.
+#[derive(Debug)]
+struct Truth {
+    shared: Shared,
+    blind: bool,
+    delivered: std::sync::Mutex<u32>,
+}
+
+#[graspd_adapters_core::async_trait]
+impl Witness for Truth {
+    async fn outcome(&self, _attempt: u32) -> Option<Witnessed> {
+        let world = self.shared.world();
+        let before = std::mem::replace(&mut *self.delivered.lock().unwrap(), world.delivered);
+        (!self.blind).then(|| Witnessed {
+            delivered: world.delivered - before,
+            lost: world.lost,
+            in_tray: world.in_tray,
+            in_hand: world.in_hand,
+            remaining: Vec::new(),
+        })
+    }
+}
+
+/// A run with a witness.
+async fn witnessed(shared: &Shared, blind: bool) -> Report {
+    let truth = Truth { shared: shared.clone(), blind, delivered: std::sync::Mutex::default() };
+    let cell = graspd_cell::Cell { witness: Some(std::sync::Arc::new(truth)), ..shared.cell() };
+    let mut watcher = Watcher { shared: shared.clone(), log: Vec::new() };
+    let report = clear_tray(&cell, &config(), &mut watcher).await.unwrap();
+    let t = &report.tally;
+    let sum = t.delivered.zip(t.lost).zip(t.in_tray).zip(t.in_hand).map(|(((d, l), i), h)| d + l + i + h);
+    assert_eq!(sum, (!blind).then(|| shared.world().total), "{t:?}");
+    report
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_witness_decides_what_is_a_success() {
+    // Felt to the end, and fallen beside the place.
+    let shared = Shared::new(2);
+    shared.world().misses = 1;
+    let report = witnessed(&shared, false).await;
+    let t = &report.tally;
+    assert_eq!((t.trials, t.successes, t.felt, t.delivered, t.lost), (2, 1, 2, Some(1), Some(1)));
+    assert_eq!(t.failures.get(&FailureClass::NotDelivered), Some(&1));
+    assert!(report.to_string().contains("1 delivered, 1 lost, 0 left in the tray"), "{report}");
+    // Not felt at the drop pose, and arrived.
+    let shared = Shared::new(1).with_fault(Step::CheckDelivered, Fault::Numb, 1);
+    let t = witnessed(&shared, false).await.tally;
+    assert_eq!((t.trials, t.successes, t.felt, t.delivered), (1, 1, 0, Some(1)), "{t:?}");
+    assert_eq!(t.failures.len(), 0);
+    // What lies in the tray when the run ends.
+    let shared = Shared::new(3).with_fault(Step::CheckContact, Fault::Slips, u32::MAX);
+    let t = witnessed(&shared, false).await.tally;
+    assert_eq!((t.successes, t.delivered, t.in_tray), (0, Some(0), Some(3)));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_witness_that_cannot_tell_changes_nothing() {
+    let shared = Shared::new(2);
+    shared.world().misses = 1;
+    let t = witnessed(&shared, true).await.tally;
+    assert_eq!((t.trials, t.successes, t.felt, t.delivered, t.lost), (2, 2, 2, None, None));
 }

@@ -184,3 +184,53 @@ async fn a_grasp_out_of_reach_gives_way_to_the_next_ranked_one() {
     assert_eq!(log, vec!["approach out of reach NextGrasp"; 2]);
     assert_eq!((report.end, report.tally.trials, report.tally.successes), (End::Empty, 1, 1));
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_guarded_approach_that_ends_early_closes_there_and_lifts_straight_up() {
+    let shared = Shared::new(1).with_fault(Step::Approach, Fault::Contact, 1);
+    shared.world().met_after = 0.95;
+    let (report, log) = run(&shared, &config()).await;
+    assert_eq!((&report.end, report.tally.trials, report.tally.successes), (&End::Empty, 1, 1), "{log:?}");
+    let moves = shared.world().moves.clone();
+    let in_step = |step| moves.iter().find(|(s, _)| *s == step).unwrap().1.translation.vector;
+    let (met, lifted) = (in_step(Step::Approach), in_step(Step::Lift));
+    // The planned grasp has the flange at 0.15 m, the pre-grasp at 0.25 m.
+    assert!((met.z - 0.155).abs() < 1e-9, "{met}");
+    assert!((lifted - met - nalgebra::Vector3::new(0.0, 0.0, 0.15)).norm() < 1e-9, "{lifted}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_trial_that_fails_after_a_contact_is_a_collision() {
+    // Too far above the object to hold anything, and held but lost on the way up.
+    for (met_after, slips) in [(0.5, None), (0.95, Some(Step::Lift))] {
+        let mut shared = Shared::new(1).with_fault(Step::Approach, Fault::Contact, 1);
+        if let Some(step) = slips {
+            shared = shared.with_fault(step, Fault::Slips, 1);
+        }
+        shared.world().met_after = met_after;
+        let (report, log) = run(&shared, &config()).await;
+        assert_eq!(report.tally.failures.get(&FailureClass::Collision), Some(&1), "{met_after} {log:?}");
+        assert_eq!((report.end, report.tally.trials, report.tally.successes), (End::Empty, 2, 1), "{log:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_object_is_not_carried_sideways_where_the_way_up_is_out_of_reach() {
+    let shared = Shared::new(1);
+    shared.world().no_way_up = vec![Step::Carry];
+    let (report, log) = run(&shared, &config()).await;
+    assert_eq!(log, ["carry out of reach End"]);
+    assert!(matches!(report.end, End::ArmLost { .. }), "{report:?}");
+    assert_eq!((report.holding, report.tally.unknown), (Holding::Object, 1));
+    let world = shared.world();
+    assert!(world.in_hand == 1 && world.moves.iter().all(|(step, _)| *step != Step::Carry), "{world:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_empty_hand_goes_on_where_the_way_up_is_out_of_reach() {
+    let shared = Shared::new(2).with_fault(Step::Approach, Fault::Stop, 1);
+    shared.world().no_way_up = vec![Step::ClearView, Step::Pregrasp];
+    let (report, log) = run(&shared, &config()).await;
+    assert_eq!((report.end, report.tally.successes), (End::Empty, 2), "{log:?}");
+    assert_eq!(log, ["approach stop Retreat"]);
+}

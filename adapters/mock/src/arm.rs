@@ -15,6 +15,9 @@ use crate::link::Link;
 use crate::motion::Shared;
 use crate::shared::{SettingsError, SharedWorld, finite, positive};
 
+/// Acceleration of every arm of a simulated world, metres per second squared.
+const ACCELERATION_M_S2: f64 = 2.0;
+
 /// What a mock arm is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -59,7 +62,7 @@ impl Default for ArmSettings {
 /// An arm in a shared world. Its flange is the root link of the hand that it carries.
 ///
 /// Both kinds of motion are straight lines with even turning, through whatever is in the way: physics decides what
-/// comes of that. It accelerates as the world's arms do (2 m/s²), whatever lesser acceleration a caller allows.
+/// comes of that. It accelerates as the world's arms do (2 m/s²), and refuses motions that may only accelerate less.
 #[derive(Debug)]
 pub struct MockArm {
     link: Link,
@@ -151,8 +154,9 @@ impl MockArm {
             return refuse("speed_m_s", speed.to_string(), format!("above 0, at most {most}"));
         }
         let acceleration = limits.acceleration_m_s2;
-        if !(acceleration > 0.0 && acceleration.is_finite()) {
-            return refuse("acceleration_m_s2", acceleration.to_string(), "above 0".into());
+        if !(acceleration >= ACCELERATION_M_S2 && acceleration.is_finite()) {
+            let expected = format!("at least {ACCELERATION_M_S2}, with which this arm always accelerates");
+            return refuse("acceleration_m_s2", acceleration.to_string(), expected);
         }
         Ok(())
     }

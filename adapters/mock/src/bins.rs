@@ -1,6 +1,6 @@
 //! Bins: where delivered objects leave the world.
 
-use graspd_sim::world::{HandId, ObjectId, Touched, World};
+use graspd_sim::world::{HandId, ObjectId, Touched, Tray, World};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +34,12 @@ impl Bin {
         inside(0) && inside(1) && p.z < self.rim_m
     }
 
+    /// True when its opening and a tray with its walls have more than an edge in common.
+    pub fn overlaps(&self, tray: &Tray) -> bool {
+        let half = outer_half(tray);
+        (0..2).all(|i| self.center_m[i].abs() < self.half_extents_m[i] + half[i])
+    }
+
     /// Middle of the opening at the rim: above it is where to let go.
     pub fn opening(&self) -> nalgebra::Point3<f64> {
         nalgebra::Point3::new(self.center_m[0], self.center_m[1], self.rim_m)
@@ -53,6 +59,17 @@ pub struct Delivered {
     pub time_s: f64,
 }
 
+/// Half of a tray's edges along x and y, its walls included, metres.
+fn outer_half(tray: &Tray) -> [f64; 2] {
+    [tray.width_m / 2.0 + tray.wall_m, tray.length_m / 2.0 + tray.wall_m]
+}
+
+/// True when a point lies in a tray, on its walls or over it.
+pub(crate) fn is_over(tray: &Tray, point: &nalgebra::Vector3<f64>) -> bool {
+    let half = outer_half(tray);
+    point.x.abs() <= half[0] && point.y.abs() <= half[1]
+}
+
 /// Hands that touch each object, and the objects they touch.
 pub(crate) fn touched_objects(world: &World) -> Vec<(HandId, ObjectId)> {
     let mut pairs: Vec<_> = world
@@ -69,16 +86,20 @@ pub(crate) fn touched_objects(world: &World) -> Vec<(HandId, ObjectId)> {
     pairs
 }
 
-/// Takes out of the world what lies in a bin; returns what it took.
+/// Takes out of the world what lies in a bin, and never what lies over the tray; returns what it took.
 pub(crate) fn absorb(world: &mut World, bins: &[Bin]) -> Vec<Delivered> {
     if bins.is_empty() {
         return Vec::new();
     }
+    let tray = world.settings().tray;
     let within: Vec<(ObjectId, &Bin)> = world
         .ids()
         .into_iter()
         .filter_map(|id| {
             let pose = world.pose(id)?;
+            if tray.is_some_and(|tray| is_over(&tray, &pose.translation.vector)) {
+                return None;
+            }
             bins.iter().find(|b| b.contains(&pose)).map(|b| (id, b))
         })
         .collect();
@@ -95,4 +116,28 @@ pub(crate) fn absorb(world: &mut World, bins: &[Bin]) -> Vec<Delivered> {
             world.remove(id).then(|| Delivered { id, name, bin: bin.name.clone(), time_s })
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use graspd_sim::object::Object;
+    use graspd_sim::world::WorldSettings;
+    use nalgebra::Vector3;
+    use std::sync::Arc;
+
+    #[test]
+    fn what_lies_over_the_tray_is_never_taken() {
+        let settings = WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() };
+        let mut world = World::new(settings);
+        let cuboid = Arc::new(Object::cuboid("box", Vector3::new(0.02, 0.02, 0.02)).unwrap());
+        // In the tray, on its wall, beside it.
+        let ids =
+            [0.10, 0.185, 0.25].map(|x| world.add(cuboid.clone(), &Isometry3::translation(x, 0.0, 0.05)));
+        let bin = Bin { center_m: [0.2, 0.0], ..Bin::default() };
+        assert!(bin.overlaps(&Tray::default()));
+        let taken = absorb(&mut world, &[bin]);
+        assert_eq!(taken.iter().map(|d| d.id).collect::<Vec<_>>(), [ids[2]]);
+        assert_eq!(world.ids(), ids[..2]);
+    }
 }

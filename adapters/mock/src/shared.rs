@@ -100,7 +100,7 @@ impl SharedWorld {
     /// Gives a world a thread.
     ///
     /// # Errors
-    /// [`SettingsError`] for a speed that is negative or no number, for a bin without an opening, and when the
+    /// [`SettingsError`] for a speed that is negative or no number, for a bin without an opening or over the tray, and when the
     /// system gives no thread.
     pub fn new(world: World, settings: SharedWorldSettings) -> Result<Self, SettingsError> {
         let pace = match settings.speed {
@@ -113,6 +113,16 @@ impl SharedWorld {
         for bin in &settings.bins {
             for half in bin.half_extents_m {
                 positive(&format!("bins.{}.half_extents_m", bin.name), half)?;
+            }
+            for middle in bin.center_m {
+                finite(&format!("bins.{}.center_m", bin.name), middle)?;
+            }
+            if world.settings().tray.is_some_and(|tray| bin.overlaps(&tray)) {
+                return Err(SettingsError {
+                    field: format!("bins.{}.center_m", bin.name),
+                    found: format!("{:?} with half extents {:?}", bin.center_m, bin.half_extents_m),
+                    expected: "a bin that does not overlap the tray and its walls",
+                });
             }
         }
         let clock = Arc::new(Clock::default());

@@ -6,7 +6,7 @@ use graspd_sim::scene;
 use graspd_sim::world::{HandId, ObjectId, Tray, World};
 use nalgebra::{Isometry3, Point3};
 
-use crate::bins::{Delivered, touched_objects};
+use crate::bins::{Delivered, is_over, touched_objects};
 use crate::shared::{SharedWorld, WorldEnded};
 
 /// How far its lowest point must be above the table for an object that a hand touches to count as held, metres.
@@ -27,7 +27,7 @@ pub struct ObjectView {
 /// [`SharedWorld::with`].
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Census {
-    /// In the tray, or above it and in no hand.
+    /// In the tray (where the default one would stand, in a world without), or above it and in no hand.
     pub tray: Vec<ObjectView>,
     /// In a hand: touched by it, with nothing of it within 2 cm of the table.
     pub held: Vec<(HandId, ObjectView)>,
@@ -133,12 +133,11 @@ fn census(world: &World, delivered: &[Delivered]) -> Census {
     census
 }
 
-/// True when the object's origin is between the tray's walls, or above.
+/// True when the object's origin is between the tray's walls, on them, or above. In a world without a tray its place is
+/// where the default one would stand.
 fn in_tray(tray: Option<&Tray>, object: &ObjectView) -> bool {
     let p = object.world_from_object.translation.vector;
-    tray.is_some_and(|t| {
-        p.x.abs() <= t.width_m / 2.0 + t.wall_m && p.y.abs() <= t.length_m / 2.0 + t.wall_m && p.z > -0.02
-    })
+    is_over(&tray.copied().unwrap_or_default(), &p) && p.z > -0.02
 }
 
 /// Height of an object's lowest point above the table, metres.

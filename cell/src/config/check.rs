@@ -2,6 +2,9 @@
 
 use super::{CellConfig, ConfigError};
 
+/// Hands reach so far sideways from their tool point, metres.
+const HAND_RADIUS_M: f64 = 0.1;
+
 impl CellConfig {
     /// Checks every value.
     ///
@@ -37,7 +40,8 @@ impl CellConfig {
         let short = r.backoff_s > 0.0 && r.backoff_s <= r.longest_backoff_s;
         inside("recovery.backoff_s", r.backoff_s, short, "more than 0, at most recovery.longest_backoff_s")?;
         count("recovery.tries", r.tries, 0..=1000)?;
-        count("recovery.empty_frames", r.empty_frames, 1..=1000)?;
+        // The first may be asked with a floor told too high, under which flat things disappear; the second never is.
+        count("recovery.empty_frames", r.empty_frames, 2..=1000)?;
         count("recovery.no_grasp_frames", r.no_grasp_frames, 1..=1000)?;
         count("recovery.failures_in_a_row", r.failures_in_a_row, 1..=10_000)?;
         count("run.trials", self.run.trials, 1..=1_000_000)?;
@@ -93,20 +97,36 @@ impl CellConfig {
             t.wall_clearance_m >= 0.0 && 2.0 * t.wall_clearance_m < t.width_m.min(t.length_m),
             "0 or more, less than half the tray",
         )?;
+        let wall = t.wall_height_m;
+        inside(
+            "tray.wall_height_m",
+            wall,
+            (0.0..=t.volume_m).contains(&wall),
+            "0 (no walls) to tray.volume_m",
+        )?;
+        inside("tray.wall_m", t.wall_m, (0.0005..=0.05).contains(&t.wall_m), "0.0005 to 0.05")?;
         let floor = t.floor_clearance_m;
         inside("tray.floor_clearance_m", floor, (0.0..=0.05).contains(&floor), "0 to 0.05")?;
         positive("tray.height_m", t.height_m, t.volume_m)?;
         positive("motion.travel_height_m", self.motion.travel_height_m, 5.0)?;
         positive("motion.contact_force_n", self.motion.contact_force_n, 1000.0)?;
         positive("motion.lift_m", self.motion.lift_m, 2.0)?;
-        let over =
-            (0..2).all(|i| (self.drop.position_m[i] - t.position_m[i]).abs() < t.volume_m / 2.0 - 0.02);
-        inside(
-            "drop.position_m",
-            format!("{:?}", self.drop.position_m),
-            !over,
-            "a place beside the tray's volume, else what is dropped is picked again",
-        )
+        // What is dropped falls, from whatever height. The tray with its walls ends nearer to the volume than this.
+        let drop = &self.drop.position_m;
+        let beside = |[x, y, _]: [f64; 3]| x.hypot(y) >= HAND_RADIUS_M;
+        let expected = format!(
+            "a place at least {HAND_RADIUS_M} m beside the tray's volume, else what is dropped is picked again and the \
+             hand that waits there is seen as a thing to grasp"
+        );
+        inside("drop.position_m", format!("{drop:?}"), beside(t.outside_volume(drop)), &expected)?;
+        let Some(wait) = &self.motion.wait_position_m else { return Ok(()) };
+        // The hand points down: all of it is above its tool point.
+        let away = beside(t.outside_volume(wait)) || t.outside_volume(wait)[2] > 0.0;
+        let expected = format!(
+            "a place above the tray's volume, or at least {HAND_RADIUS_M} m beside it, else the hand is seen as a thing \
+             to grasp"
+        );
+        inside("motion.wait_position_m", format!("{wait:?}"), away, &expected)
     }
 }
 

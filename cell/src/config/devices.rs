@@ -88,7 +88,7 @@ pub struct ArmConfig {
     pub adapter: String,
     /// Speed through the air, metres per second.
     pub speed_m_s: f64,
-    /// Acceleration, metres per second squared.
+    /// Acceleration, metres per second squared. The mock arm always accelerates with 2 and refuses less.
     pub acceleration_m_s2: f64,
     /// Speed of the straight approach, and of the way back, metres per second.
     pub approach_speed_m_s: f64,
@@ -105,7 +105,7 @@ impl Default for ArmConfig {
         Self {
             adapter: "mock".to_owned(),
             speed_m_s: 0.5,
-            acceleration_m_s2: 1.5,
+            acceleration_m_s2: 2.0,
             approach_speed_m_s: 0.1,
             lift_speed_m_s: 0.15,
             carry_speed_m_s: 0.25,

@@ -125,10 +125,22 @@ mod tests {
                 "[tray]\nwidth_m = 0.5",
                 "tray.width_m: found 0.5, expected more than 0.02, at most tray.volume_m",
             ),
+            ("[tray]\nwall_height_m = -0.01", "tray.wall_height_m: found -0.01, expected 0 (no walls) to"),
+            ("[tray]\nwall_height_m = nan", "tray.wall_height_m: found NaN"),
+            ("[tray]\nwall_m = 0", "tray.wall_m: found 0, expected 0.0005 to 0.05"),
+            ("[recovery]\nempty_frames = 1", "recovery.empty_frames: found 1, expected 2 to 1000"),
             ("[timeouts]\nmove_s = nan", "timeouts.move_s: found NaN, expected a number above 0"),
             (
                 "[drop]\nposition_m = [0.1, 0, 0.3]",
-                "drop.position_m: found [0.1, 0.0, 0.3], expected a place beside",
+                "drop.position_m: found [0.1, 0.0, 0.3], expected a place at least 0.1 m beside",
+            ),
+            // The hand would be inside the volume, and the bin under it over the tray.
+            ("[drop]\nposition_m = [0.22, 0, 0.25]", "drop.position_m: found [0.22, 0.0, 0.25], expected a"),
+            ("[drop]\nposition_m = [0, -0.22, 9]", "drop.position_m: found [0.0, -0.22, 9.0], expected a"),
+            ("[tray]\nyaw_rad = 0.785\n[drop]\nposition_m = [0.35, 0, 0.25]", "drop.position_m: found [0.35"),
+            (
+                "[motion]\nwait_position_m = [0.0, 0.25, 0.3]",
+                "motion.wait_position_m: found [0.0, 0.25, 0.3], expected a place above the tray's volume, or at least",
             ),
             ("[hand]\nid = \"\"", "hand.id: found \"\", expected the id of a hand"),
             ("[hand]\nid = 3", "expected a string"),
@@ -138,6 +150,19 @@ mod tests {
         ] {
             let message = error(text);
             assert!(message.contains(expected), "{message}\nshould contain\n{expected}");
+        }
+    }
+
+    #[test]
+    fn the_hand_waits_beside_the_volume_or_above_it() {
+        for text in [
+            "[drop]\nposition_m = [0.31, 0, 0.25]",
+            "[drop]\nposition_m = [0.28, -0.28, 0.25]",
+            "[tray]\nposition_m = [0.4, 0, 0]\n[drop]\nposition_m = [0, 0, 0.25]",
+            "[motion]\nwait_position_m = [0.0, 0.0, 0.6]",
+            "[motion]\nwait_position_m = [0.0, 0.35, 0.2]",
+        ] {
+            CellConfig::parse(text).unwrap().check().unwrap_or_else(|e| panic!("{text}: {e}"));
         }
     }
 

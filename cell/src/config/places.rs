@@ -8,6 +8,8 @@ use crate::pose::PoseRecord;
 
 /// Height of the tray's floor in the volume, metres: room below it for noise.
 const FLOOR_IN_VOLUME_M: f64 = 0.05;
+/// Hands keep this far from the walls, metres.
+const WALL_MARGIN_M: f64 = 0.002;
 
 /// `[tray]`
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -23,6 +25,10 @@ pub struct TrayConfig {
     pub length_m: f64,
     /// Height above the floor up to which objects are grasped, metres.
     pub height_m: f64,
+    /// Height of its walls above the floor, metres; 0: it has none, and the planner is told of none.
+    pub wall_height_m: f64,
+    /// Thickness of its walls, outside of width and length, metres.
+    pub wall_m: f64,
     /// Contacts nearer than this to a wall are not grasped, metres.
     pub wall_clearance_m: f64,
     /// The planner is told that the floor is so much higher than it is, metres: room for the errors of calibration and
@@ -43,6 +49,8 @@ impl Default for TrayConfig {
             width_m: 0.36,
             length_m: 0.36,
             height_m: 0.25,
+            wall_height_m: 0.03,
+            wall_m: 0.008,
             wall_clearance_m: 0.004,
             floor_clearance_m: 0.003,
             volume_m: 0.4,
@@ -75,6 +83,35 @@ impl TrayConfig {
             pose: PoseRecord::from(&self.pose(0.0, 0.0, self.height_m / 2.0)),
             half_extents_m: [half(self.width_m), half(self.length_m), self.height_m / 2.0],
         }
+    }
+
+    /// The walls with 2 mm around them, where no part of a hand may be; none for a tray without walls. Walls this thin
+    /// drown in the noise of depth edges: a frame shows them with gaps, into which fingers would come down.
+    pub fn walls(&self) -> Vec<BoxRecord> {
+        if self.wall_height_m <= 0.0 {
+            return Vec::new();
+        }
+        let (x, y, z) = (self.width_m / 2.0, self.length_m / 2.0, self.wall_height_m / 2.0);
+        let t = self.wall_m / 2.0;
+        let around = |center: [f64; 2], half: [f64; 2]| BoxRecord {
+            pose: PoseRecord::from(&self.pose(center[0], center[1], z)),
+            half_extents_m: [half[0], half[1], z].map(|extent| extent + WALL_MARGIN_M),
+        };
+        let (along_y, along_x) = ([t, y + 2.0 * t], [x + 2.0 * t, t]);
+        vec![
+            around([x + t, 0.0], along_y),
+            around([-x - t, 0.0], along_y),
+            around([0.0, y + t], along_x),
+            around([0.0, -y - t], along_x),
+        ]
+    }
+
+    /// How far a point of the world is outside the planner's volume: along the tray's x and y (0 within), and above the
+    /// volume's top (negative below).
+    pub(super) fn outside_volume(&self, point: &[f64; 3]) -> [f64; 3] {
+        let at = self.pose(0.0, 0.0, 0.0).inverse_transform_point(&(*point).into());
+        let sideways = |c: f64| (c.abs() - self.volume_m / 2.0).max(0.0);
+        [sideways(at.x), sideways(at.y), at.z - (self.volume_m - FLOOR_IN_VOLUME_M)]
     }
 
     /// Height of the floor, world frame, metres.
@@ -118,5 +155,36 @@ pub struct MotionConfig {
 impl Default for MotionConfig {
     fn default() -> Self {
         Self { travel_height_m: 0.32, contact_force_n: 40.0, lift_m: 0.15, wait_position_m: None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point3;
+
+    #[test]
+    fn walls_stand_around_what_may_be_grasped() {
+        let tray = TrayConfig { position_m: [0.3, -0.2, 0.1], yaw_rad: 0.4, ..TrayConfig::default() };
+        let walls = tray.walls();
+        assert_eq!(walls.len(), 4);
+        let inside = |tray_point: [f64; 3]| {
+            let point = tray.pose(tray_point[0], tray_point[1], tray_point[2]) * Point3::origin();
+            let holds = |wall: &BoxRecord| {
+                let local = wall.pose.isometry().inverse_transform_point(&point);
+                local.iter().zip(wall.half_extents_m).all(|(c, half)| c.abs() <= half)
+            };
+            walls.iter().filter(|wall| holds(wall)).count()
+        };
+        // Inner faces are at 0.18 m, outer ones at 0.188 m, the rim is 0.03 m high, and 2 mm are around all.
+        for side in [1.0, -1.0] {
+            for (x, expected) in [(0.177, 0), (0.179, 1), (0.184, 1), (0.1895, 1), (0.191, 0)] {
+                assert_eq!(inside([side * x, 0.05, 0.015]), expected, "{x}");
+                assert_eq!(inside([0.05, side * x, 0.015]), expected, "{x}");
+            }
+            assert_eq!((inside([side * 0.184, 0.0, 0.0315]), inside([side * 0.184, 0.0, 0.0325])), (1, 0));
+        }
+        assert_eq!(inside([0.184, 0.184, 0.0]), 2, "corners are closed");
+        assert_eq!(TrayConfig { wall_height_m: 0.0, ..tray.clone() }.walls(), []);
     }
 }

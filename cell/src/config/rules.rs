@@ -50,7 +50,8 @@ pub struct RecoveryConfig {
     pub backoff_s: f64,
     /// Longest wait, seconds.
     pub longest_backoff_s: f64,
-    /// Frames in a row in which the planner sees nothing before the tray is called empty.
+    /// Frames in a row in which the planner sees nothing before the tray is called empty, at least 2: only
+    /// from the second on the planner is told the true floor in any case.
     pub empty_frames: u32,
     /// Frames in a row for which the planner has no grasp before the run ends with its reasons.
     pub no_grasp_frames: u32,

@@ -11,8 +11,8 @@ use nalgebra::{Unit, Vector3};
 use tokio::sync::Mutex;
 
 use super::{
-    ActuatorFacts, Answer, EmptyReason, GraspPlanner, HandFacts, NoGrasp, PlannedGrasp, PlannerError,
-    Question, ReachingChoice,
+    ActuatorFacts, Answer, BoxRecord, EmptyReason, GraspPlanner, HandFacts, NoGrasp, PlannedGrasp,
+    PlannerError, Question, ReachingChoice,
 };
 use crate::frame::{DEPTH_SCALE_M, Frame};
 use crate::pose::PoseRecord;
@@ -186,6 +186,7 @@ fn plan_options(question: &Question) -> PlanOptions {
             penetration_iteration_count: count(question.scheme[1]),
         }),
         reaching: reaching.into(),
+        keep_out_boxes: question.keep_out.iter().map(keep_out).collect(),
         orientation_limits: question
             .max_tilt_rad
             .map(|angle| wire::OrientationLimits { max_tilt_rad: Some(angle), roll: None }),
@@ -195,6 +196,13 @@ fn plan_options(question: &Question) -> PlanOptions {
         friction: Some(question.friction),
         pregrasp_offset_m: Some(question.pregrasp_offset_m),
         ..PlanOptions::default()
+    }
+}
+
+fn keep_out(record: &BoxRecord) -> wire::KeepOutBox {
+    wire::KeepOutBox {
+        pose: Some(pose_message(&record.pose)),
+        half_extents_m: Some(vector_message(record.half_extents_m)),
     }
 }
 
@@ -265,4 +273,53 @@ fn pose(message: Option<&wire::PoseInFrame>, field: &str) -> Result<PoseRecord, 
         position_m: position.into(),
         orientation_xyzw: [q.x / norm, q.y / norm, q.z / norm, q.w / norm],
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::TrayConfig;
+
+    fn question() -> Question {
+        let tray = TrayConfig { yaw_rad: 0.3, ..TrayConfig::default() };
+        Question {
+            hand: "leap".to_owned(),
+            seed: 7,
+            reaching: ReachingChoice::TopDown,
+            max_tilt_rad: None,
+            workspace: tray.workspace(),
+            region: Some(tray.region()),
+            keep_out: tray.walls(),
+            estimator: String::new(),
+            batch: 48,
+            scheme: [200, 40],
+            max_grasps: 10,
+            min_score: 0.0,
+            friction: 0.5,
+            pregrasp_offset_m: 0.1,
+        }
+    }
+
+    #[test]
+    fn the_planner_is_told_of_every_wall() {
+        let question = question();
+        let boxes = plan_options(&question).keep_out_boxes;
+        assert_eq!(boxes.len(), 4);
+        for (message, record) in boxes.iter().zip(&question.keep_out) {
+            assert_eq!(message.pose, Some(pose_message(&record.pose)));
+            let half = message.half_extents_m.as_ref().unwrap();
+            assert_eq!([half.x, half.y, half.z], record.half_extents_m);
+            assert!(record.half_extents_m.iter().all(|x| *x > 0.0));
+        }
+    }
+
+    #[test]
+    fn a_record_of_an_older_run_has_no_walls_and_is_read() {
+        let mut old = serde_json::to_value(question()).unwrap();
+        old.as_object_mut().unwrap().remove("keep_out");
+        let read: Question = serde_json::from_value(old).unwrap();
+        assert_eq!(read, Question { keep_out: Vec::new(), ..question() });
+        let again = question().as_recorded().unwrap();
+        assert_eq!(again.as_recorded().unwrap(), again);
+    }
 }

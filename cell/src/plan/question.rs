@@ -54,6 +54,9 @@ pub struct Question {
     pub workspace: WorkspaceRecord,
     /// Only contacts inside may be grasped.
     pub region: Option<BoxRecord>,
+    /// No part of the hand may be in these boxes; records of older runs have none.
+    #[serde(default)]
+    pub keep_out: Vec<BoxRecord>,
     /// Contact estimator by name; empty: the server's default.
     pub estimator: String,
     /// Candidates that are optimized together.

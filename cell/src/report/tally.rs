@@ -27,7 +27,8 @@ pub struct Tally {
     pub unknown: u32,
     /// Failed trials since the last success.
     pub failures_in_a_row: u32,
-    /// Objects that a witness saw arrive, lie elsewhere, lie in the tray at the end and be in the hand at the end.
+    /// Objects that a witness saw arrive; and that lie elsewhere, in the tray and in the hand at the end. The four sum to
+    /// the objects of the run.
     pub delivered: Option<u32>,
     /// See [`Tally::delivered`].
     pub lost: Option<u32>,
@@ -57,7 +58,7 @@ impl Tally {
         self.plan_s.extend(record.answer.iter().map(|a| a.plan_s));
         if let Some(seen) = &record.witnessed {
             *self.delivered.get_or_insert(0) += seen.delivered;
-            *self.lost.get_or_insert(0) += seen.lost;
+            self.lost = Some(seen.lost);
             self.in_tray = Some(seen.in_tray);
             self.in_hand = Some(seen.in_hand);
             self.remaining.clone_from(&seen.remaining);

@@ -169,17 +169,22 @@ impl Run<'_> {
         Ok(state.world_from_flange)
     }
 
-    /// Straight up to the height of travel; as far as it goes where that is out of reach.
+    /// Straight up to the height of travel with an empty hand; not at all where that is out of reach.
+    pub(super) async fn raise_empty(&self, pace: Pace) -> Result<(), Problem> {
+        match self.raise(pace).await {
+            Err(problem) if problem.trouble == Trouble::OutOfReach => Ok(()),
+            done => done,
+        }
+    }
+
+    /// Straight up to the height of travel.
     pub(super) async fn raise(&self, pace: Pace) -> Result<(), Problem> {
         let here = self.flange().await?;
         let up = raised_to(&here, &self.facts.tool_point, self.places.travel_m);
         if (up.translation.vector.z - here.translation.vector.z) < 1e-3 {
             return Ok(());
         }
-        match self.move_linear(&up, pace).await {
-            Err(problem) if problem.trouble == Trouble::OutOfReach => Ok(()),
-            done => done,
-        }
+        self.move_linear(&up, pace).await
     }
 
     pub(super) async fn stop_arm(&self) -> Result<(), Problem> {
@@ -263,17 +268,22 @@ impl Run<'_> {
         self.within(Who::Hand, &hand.info().name, "state", limit, hand.state(limit)).await
     }
 
-    /// Opens the hand.
-    pub(super) async fn open_hand(&self) -> Result<HandState, Problem> {
-        let (names, open) = self.open_posture();
+    /// Opens the hand as wide as it goes. A grasp may ask for less among objects, and fingers so far closed may not let
+    /// go of what they hold.
+    pub(super) async fn open_wide(&self) -> Result<HandState, Problem> {
+        let (names, open) = self.wide_posture();
         self.grip(&names, &open).await
+    }
+
+    fn wide_posture(&self) -> (Vec<String>, Vec<f64>) {
+        self.facts.actuators.iter().map(|a| (a.name.clone(), a.open)).unzip()
     }
 
     /// As the grasp asks, or wide where there is no grasp.
     pub(super) fn open_posture(&self) -> (Vec<String>, Vec<f64>) {
         match self.attempt.grasp() {
             Some((_, grasp)) => (grasp.actuators.clone(), grasp.open.clone()),
-            None => self.facts.actuators.iter().map(|a| (a.name.clone(), a.open)).unzip(),
+            None => self.wide_posture(),
         }
     }
 

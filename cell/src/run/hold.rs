@@ -50,6 +50,7 @@ impl Run<'_> {
     }
 
     pub(super) async fn carry(&mut self) -> Result<Next, Problem> {
+        // Not sideways with an object from lower than that: there are other objects and the tray's walls.
         self.raise(Pace::Carry).await?;
         self.move_to(&self.places.drop, Pace::Carry).await?;
         // One that is known to be lost needs no question.
@@ -63,7 +64,7 @@ impl Run<'_> {
     }
 
     pub(super) async fn release(&mut self) -> Result<Next, Problem> {
-        self.open_hand().await?;
+        self.open_wide().await?;
         self.holding = Holding::Nothing;
         let outcome = match self.attempt.failed.take() {
             Some((class, why)) => Outcome::Failed { class, why },
@@ -84,7 +85,7 @@ impl Run<'_> {
             self.move_linear(&back, Pace::Approach).await?;
             self.attempt.inside = false;
         }
-        self.raise(Pace::Travel).await?;
+        self.raise_empty(Pace::Travel).await?;
         let outcome = match self.attempt.failed.take() {
             Some((class, why)) if self.attempt.trial => Outcome::Failed { class, why },
             Some((_, why)) => Outcome::NotExecuted { why },

@@ -12,10 +12,10 @@ impl Run<'_> {
     /// Out of the camera's view. The first time over the dropping place, where the hand opens: whatever an earlier run
     /// left in it lands there, and a drop pose out of reach is found before anything is grasped.
     pub(super) async fn clear_view(&mut self) -> Result<Next, Problem> {
-        self.raise(Pace::Travel).await?;
+        self.raise_empty(Pace::Travel).await?;
         if !self.prepared {
             self.move_to(&self.places.drop, Pace::Carry).await?;
-            self.open_hand().await?;
+            self.open_wide().await?;
             self.holding = Holding::Nothing;
             self.prepared = true;
         }

@@ -54,6 +54,7 @@ impl Run<'_> {
             max_tilt_rad: planner.max_tilt_rad.filter(|_| !rung.free),
             workspace: tray.workspace(),
             region: Some(tray.region()),
+            keep_out: tray.walls(),
             estimator: planner.estimator.clone(),
             // What is left may be hard to reach.
             batch: planner.batch.saturating_mul(1 << doublings).min(MOST_CANDIDATES),

@@ -16,7 +16,8 @@ impl Run<'_> {
     }
 
     pub(super) async fn open(&mut self) -> Result<Next, Problem> {
-        self.open_hand().await?;
+        let (names, open) = self.open_posture();
+        self.grip(&names, &open).await?;
         Ok(Next::Go(Step::Pregrasp))
     }
 
@@ -24,7 +25,7 @@ impl Run<'_> {
     pub(super) async fn pregrasp(&mut self) -> Result<Next, Problem> {
         let pregrasp = self.chosen()?.world_from_pregrasp.isometry();
         let above = raised_to(&pregrasp, &self.facts.tool_point, self.places.travel_m);
-        self.raise(Pace::Travel).await?;
+        self.raise_empty(Pace::Travel).await?;
         self.move_to(&above, Pace::Travel).await?;
         self.move_linear(&pregrasp, Pace::Approach).await?;
         Ok(Next::Go(Step::Approach))

@@ -62,7 +62,7 @@ impl Run<'_> {
     async fn ask_witness(&self, attempt: u32) -> Option<Witnessed> {
         let witness = self.cell.witness.as_ref()?;
         // A witness may let its world come to rest first; one that never answers saw nothing.
-        tokio::time::timeout(seconds(self.config.timeouts.move_s), witness.outcome(attempt)).await.ok()
+        tokio::time::timeout(seconds(self.config.timeouts.move_s), witness.outcome(attempt)).await.ok()?
     }
 
     /// Ends the run: no attempt stays uncounted, and what is in the hand is told.

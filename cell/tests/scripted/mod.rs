@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use graspd_adapters_core::{
     Arm, ArmInfo, ArmMode, ArmState, CameraInfo, DepthCamera, DepthFrame, DeviceError, FaultKind,
-    GripCommand, Hand, HandInfo, HandState, Lens, Limits, async_trait,
+    GripCommand, Hand, HandInfo, HandState, Lens, Limits, Reached, async_trait,
 };
 use graspd_cell::Cell;
 use graspd_cell::config::CellConfig;
@@ -41,6 +41,10 @@ pub(crate) enum Fault {
     Broken,
     /// The object slips out of the hand.
     Slips,
+    /// The hand feels nothing of what it holds.
+    Numb,
+    /// The hand meets something on its way, after [`World::met_after`] of it.
+    Contact,
     /// The planner is away.
     PlannerAway,
     /// The planner fails.
@@ -70,6 +74,18 @@ pub(crate) struct World {
     pub(crate) end_wanted: bool,
     /// Highest flange that the arm reaches, metres.
     pub(crate) reach_z_m: f64,
+    /// Steps in which the way straight up is out of reach.
+    pub(crate) no_way_up: Vec<Step>,
+    /// Share of the way after which the hand meets something, with [`Fault::Contact`].
+    pub(crate) met_after: f64,
+    /// Where the planned grasps open the thumb; the finger opens twice as far.
+    pub(crate) open: f64,
+    /// So many objects that are let go at the drop pose fall beside it.
+    pub(crate) misses: u32,
+    /// Where the arm went, and in which step.
+    pub(crate) moves: Vec<(Step, Isometry3<f64>)>,
+    /// Where the thumb was told to go, and in which step.
+    pub(crate) thumb: Vec<(Step, f64)>,
 }
 
 #[derive(Debug, Clone)]
@@ -93,6 +109,12 @@ impl Shared {
             closed: false,
             end_wanted: false,
             reach_z_m: f64::INFINITY,
+            no_way_up: Vec::new(),
+            met_after: 0.5,
+            open: 0.0,
+            misses: 0,
+            moves: Vec::new(),
+            thumb: Vec::new(),
         })))
     }
 
@@ -153,7 +175,9 @@ impl Shared {
                 self.slip();
                 return Ok(());
             }
-            Fault::PlannerAway | Fault::PlannerFails | Fault::NoGrasp => unreachable!("no fault of a device"),
+            Fault::Numb | Fault::Contact | Fault::PlannerAway | Fault::PlannerFails | Fault::NoGrasp => {
+                unreachable!("no fault of a call")
+            }
         })
     }
 
@@ -226,7 +250,10 @@ impl Shared {
             if world.arm_stopped {
                 return Err(stopped(FaultKind::ProtectiveStop));
             }
-            if to.translation.vector.z > world.reach_z_m {
+            let between = to.translation.vector - world.flange.translation.vector;
+            let sideways = (between.x.powi(2) + between.y.powi(2)).sqrt();
+            let up = name == "move_linear" && sideways < 1e-6 && between.z > 0.0;
+            if to.translation.vector.z > world.reach_z_m || (up && world.no_way_up.contains(&world.step)) {
                 return Err(DeviceError::OutOfRange {
                     device: "arm".into(),
                     field: "z".into(),
@@ -234,14 +261,13 @@ impl Shared {
                     expected: "low".into(),
                 });
             }
-            let between = to.translation.vector - world.flange.translation.vector;
-            let sideways = (between.x.powi(2) + between.y.powi(2)).sqrt();
             let low = world.flange.translation.vector.z < 0.2 && sideways > 1e-6;
             assert!(!low, "sideways among the objects: {:?} to {to:?}", world.flange);
             (world.flange, between.norm())
         };
-        // A way straight up that is out of reach is left out in silence: the pose above the grasp decides.
-        let rises = name == "move_linear" && matches!(self.world().step, Step::Pregrasp | Step::Carry);
+        // With an empty hand, a way straight up that is out of reach is left out in silence: the pose above the grasp
+        // decides.
+        let rises = name == "move_linear" && self.world().step == Step::Pregrasp;
         let fits = if rises { &DEVICE_FAULTS[1..] } else { DEVICE_FAULTS };
         let result = self.device("arm", name, fits).await;
         if let Err(error) = &result {
@@ -255,7 +281,12 @@ impl Shared {
         let takes = Duration::from_secs_f64(distance / limits.speed_m_s);
         assert!(takes < timeout, "a motion of {distance} m in {timeout:?}");
         tokio::time::sleep(takes).await;
-        self.world().flange = *to;
+        {
+            let mut world = self.world();
+            world.flange = *to;
+            let step = world.step;
+            world.moves.push((step, *to));
+        }
         if self.due("slip", &[Fault::Slips]).is_some() {
             self.slip();
         }
@@ -284,6 +315,23 @@ impl Arm for Shared {
         self.go("move_linear", to, l, t).await
     }
 
+    async fn move_until_contact(
+        &self,
+        to: &Isometry3<f64>,
+        limits: Limits,
+        _force_n: f64,
+        timeout: Duration,
+    ) -> Result<Reached, DeviceError> {
+        if self.due("met", &[Fault::Contact]).is_none() {
+            return self.go("move_linear", to, limits, timeout).await.map(|()| Reached::Goal);
+        }
+        let short = {
+            let world = self.world();
+            world.flange.lerp_slerp(to, world.met_after)
+        };
+        self.go("move_linear", &short, limits, timeout).await.map(|()| Reached::Contact)
+    }
+
     async fn stop(&self, _timeout: Duration) -> Result<(), DeviceError> {
         *self.world().calls.entry("stop").or_default() += 1;
         Ok(())
@@ -309,8 +357,9 @@ impl Hand for Shared {
 
     async fn state(&self, _timeout: Duration) -> Result<HandState, DeviceError> {
         self.device("hand", "hand_state", QUERY_FAULTS).await?;
+        let numb = self.due("numb", &[Fault::Numb]).is_some();
         let world = self.world();
-        let held = world.in_hand > 0;
+        let held = world.in_hand > 0 && !numb;
         let at = if !world.closed {
             0.0
         } else if held {
@@ -329,13 +378,18 @@ impl Hand for Shared {
             let mut world = self.world();
             let at = world.flange.translation.vector;
             world.closed = command.actuators[0] > 0.5;
+            let step = world.step;
+            world.thumb.push((step, command.actuators[0]));
             // Closing takes several grips; fingers that hold one object take no second.
             if world.closed && world.in_hand == 0 && world.in_tray > 0 && at.z < 0.16 {
                 world.in_tray -= 1;
                 world.in_hand += 1;
             } else if !world.closed && world.in_hand > 0 {
                 let let_go = std::mem::take(&mut world.in_hand);
-                if (at.x - 0.40).abs() < 0.01 {
+                if (at.x - 0.40).abs() < 0.01 && world.misses > 0 {
+                    world.misses -= 1;
+                    world.lost += let_go;
+                } else if (at.x - 0.40).abs() < 0.01 {
                     world.delivered += let_go;
                 } else if at.x.abs() < 0.2 {
                     world.in_tray += let_go;
@@ -353,7 +407,7 @@ impl Hand for Shared {
     }
 }
 
-fn grasp(x: f64, score: f64) -> PlannedGrasp {
+fn grasp(x: f64, score: f64, open: f64) -> PlannedGrasp {
     let at = |z| {
         pointing_down(
             &Vector3::z_axis(),
@@ -367,7 +421,7 @@ fn grasp(x: f64, score: f64) -> PlannedGrasp {
         world_from_pregrasp: PoseRecord::from(&at(0.15)),
         world_from_hand: PoseRecord::from(&at(0.05)),
         actuators: vec!["finger".into(), "thumb".into()],
-        open: vec![0.0, 0.0],
+        open: vec![2.0 * open, open],
         contact: vec![1.2, 0.6],
         squeezed: vec![2.0, 1.0],
         centroid_m: [x, 0.0, 0.04],
@@ -408,7 +462,10 @@ impl GraspPlanner for Shared {
             Some(Fault::Hangs) => pending().await,
             Some(_) => (Vec::new(), none(EmptyReason::AllRejected)),
             None if self.world().in_tray == 0 => (Vec::new(), none(EmptyReason::EmptyTable)),
-            None => (vec![grasp(0.0, 0.9), grasp(0.05, 0.8), grasp(-0.05, 0.7)], None),
+            None => {
+                let open = self.world().open;
+                (vec![grasp(0.0, 0.9, open), grasp(0.05, 0.8, open), grasp(-0.05, 0.7, open)], None)
+            }
         };
         self.world().questions.push(question.clone());
         let rejected = BTreeMap::from([("collision_table".to_owned(), 31), ("no_contact".to_owned(), 9)]);

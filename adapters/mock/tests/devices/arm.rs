@@ -41,12 +41,39 @@ async fn what_cannot_be_is_refused_before_anything_moves() {
         (near, Limits { speed_m_s: 0.0, ..LIMITS }, "speed_m_s"),
         (near, Limits { speed_m_s: 5.0, ..LIMITS }, "speed_m_s"),
         (near, Limits { acceleration_m_s2: f64::NAN, ..LIMITS }, "acceleration_m_s2"),
+        (near, Limits { acceleration_m_s2: 1.9, ..LIMITS }, "acceleration_m_s2"),
     ];
     for (pose, limits, expected) in cases {
         let error = arm.move_to(&pose, limits, TEN).await.unwrap_err();
         assert!(matches!(&error, DeviceError::OutOfRange { field, .. } if field == expected), "{error}");
     }
     assert_eq!(shared.time_s(), 0.0);
+}
+
+#[tokio::test]
+async fn no_motion_accelerates_more_than_it_may() {
+    let shared = shared(0.0);
+    let arm = arm(&shared, Faults::default()).await;
+    let goal = down(0.3, 0.0, 0.25);
+    let (moved, speeds) = tokio::join!(arm.move_linear(&goal, LIMITS, TEN), async {
+        let mut speeds = Vec::new();
+        let mut before: Option<(f64, f64)> = None;
+        // While it accelerates, and a little longer.
+        while shared.time_s() < 0.15 {
+            let held = shared.hold_after(0.025).await.unwrap();
+            let x = arm.state(SECOND).await.unwrap().world_from_flange.translation.x;
+            let now = (shared.time_s(), x);
+            if let Some((time_s, at)) = before.replace(now) {
+                speeds.push((x - at) / (now.0 - time_s));
+            }
+            drop(held);
+        }
+        speeds
+    });
+    moved.unwrap();
+    let most = speeds.windows(2).map(|w| (w[1] - w[0]) / 0.025).fold(0.0, f64::max);
+    // It lags a little behind its path, which evens out.
+    assert!(most > 1.0 && most <= 1.2 * LIMITS.acceleration_m_s2, "{most}: {speeds:?}");
 }
 
 #[tokio::test]

@@ -18,7 +18,7 @@ pub(crate) const SECOND: Duration = Duration::from_secs(1);
 pub(crate) const TEN: Duration = Duration::from_secs(10);
 /// Half extents of the box, metres.
 pub(crate) const HALF: [f64; 3] = [0.02, 0.025, 0.025];
-pub(crate) const LIMITS: Limits = Limits { speed_m_s: 0.25, acceleration_m_s2: 1.0 };
+pub(crate) const LIMITS: Limits = Limits { speed_m_s: 0.25, acceleration_m_s2: 2.0 };
 
 pub(crate) fn cuboid() -> Arc<Object> {
     let object = Object::cuboid("box", Vector3::from(HALF)).unwrap();

@@ -220,7 +220,8 @@ async fn close_and_lift(id: &str, object: Option<[f64; 3]>) -> Option<(bool, boo
         Err(DeviceError::Timeout { .. }) => return None,
         closed => closed.unwrap(),
     };
-    arm.move_linear(&reaching(&described, 0.2), LIMITS, TEN).await.unwrap();
+    let up = arm.move_linear(&reaching(&described, 0.2), LIMITS, TEN).await;
+    up.unwrap_or_else(|e| panic!("{id} closed on {object:?}: {e}"));
     let lifted = hand.state(SECOND).await.unwrap();
     Some((closed.feels_object(), lifted.feels_object(), shared.held().await.unwrap().len()))
 }

@@ -8,6 +8,7 @@ use graspd_adapters_mock::{
     ArmSettings, Bin, Census, Faults, MockArm, SharedWorld, SharedWorldSettings, WorldEnded,
 };
 use graspd_sim::scene;
+use graspd_sim::world::{World, WorldSettings};
 use nalgebra::Isometry3;
 
 use crate::fixtures::{
@@ -52,6 +53,16 @@ async fn what_is_let_go_beside_the_tray_is_elsewhere() {
 }
 
 #[tokio::test]
+async fn what_lies_in_the_middle_of_a_bare_table_is_where_a_tray_would_be() {
+    let mut world = World::new(WorldSettings::default());
+    world.add(cuboid(), &Isometry3::translation(0.0, 0.0, HALF[2]));
+    world.add(cuboid(), &Isometry3::translation(0.0, 0.4, HALF[2]));
+    let shared = SharedWorld::new(world, SharedWorldSettings::default()).unwrap();
+    let census = shared.census().await.unwrap();
+    assert_eq!((census.tray.len(), census.elsewhere.len(), census.total()), (1, 1, 2), "{census:?}");
+}
+
+#[tokio::test]
 async fn the_same_calls_give_the_same_world() {
     let run = || async {
         let shared = shared(0.0);
@@ -90,6 +101,15 @@ async fn impossible_settings_are_named() {
     let bins = vec![bin];
     let field = make(SharedWorldSettings { bins, ..SharedWorldSettings::default() }).unwrap_err();
     assert_eq!(field, "bins.bin.half_extents_m");
+    // The tray's outer edge is at 0.188 m.
+    let at = |x: f64| SharedWorldSettings {
+        bins: vec![Bin { center_m: [x, 0.0], ..Bin::default() }],
+        ..SharedWorldSettings::default()
+    };
+    assert_eq!((make(at(0.34)), make(at(-0.34))), (Ok(()), Ok(())));
+    for x in [0.33, 0.0, f64::NAN] {
+        assert_eq!(make(at(x)), Err("bins.bin.center_m".into()), "{x}");
+    }
 }
 
 #[tokio::test]

@@ -1,13 +1,14 @@
 //! The devices of a cell: today the mock adapters, in one simulated world.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
 use graspd_adapters_core::{Arm, DepthCamera, Hand};
 use graspd_adapters_mock::{
-    ArmSettings, Bin, CameraSettings, Faults, HandSettings, MockArm, MockCamera, MockHand, Mount,
-    SharedWorld, SharedWorldSettings,
+    ArmSettings, Bin, CameraSettings, Census, Faults, HandSettings, MockArm, MockCamera, MockHand, Mount,
+    SharedWorld, SharedWorldSettings, WorldEnded,
 };
 use graspd_cell::config::CellConfig;
 use graspd_cell::pose::pointing_down;
@@ -17,7 +18,7 @@ use graspd_sim::camera::look_at;
 use graspd_sim::clutter::{Arrangement, arrange, assortment};
 use graspd_sim::scene;
 use graspd_sim::sensor::Sensor;
-use graspd_sim::world::{Tray, World, WorldSettings};
+use graspd_sim::world::{ObjectId, Tray, World, WorldSettings};
 use nalgebra::{Point3, Vector3};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -120,7 +121,9 @@ pub(super) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
     let [x, y, _] = config.drop.position_m;
     let bin = Bin { center_m: [x, y], ..Bin::default() };
     let shared = SharedWorldSettings { speed: simulation.speed, bins: vec![bin] };
-    let shared = SharedWorld::new(world, shared).context("simulation")?;
+    let shared = SharedWorld::new(world, shared).with_context(|| {
+        format!("simulation: the bin stands around drop.position_m = {:?}", config.drop.position_m)
+    })?;
     let drop = Vector3::from(config.drop.position_m);
     let home = pointing_down(&hand.approach, &Vector3::x(), &hand.tool_point.coords, &drop, 0.0);
     let mounted = shared.add_hand(Arc::new(hand.clone()), home, None).await?;
@@ -138,7 +141,7 @@ pub(super) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
     let arm: ArmSettings = table("arm.settings", config.arm.settings.clone())?;
     let fingers: HandSettings = table("hand.settings", config.hand.settings.clone())?;
     let faults = simulation.faults;
-    let witness = SimulatedTruth { shared: shared.clone(), last: Mutex::default() };
+    let witness = SimulatedTruth::new(&shared).await?;
     Ok(Devices {
         camera: Arc::new(
             MockCamera::new(&shared, camera, sensor, mount, faults.camera).context("camera.settings")?,
@@ -163,7 +166,11 @@ fn tray(config: &CellConfig) -> anyhow::Result<WorldSettings> {
         t.position_m,
         t.yaw_rad
     );
-    let tray = Tray { width_m: t.width_m, length_m: t.length_m, ..Tray::default() };
+    anyhow::ensure!(
+        t.wall_height_m > 0.0,
+        "tray.wall_height_m: found 0, expected more: the simulated tray has walls"
+    );
+    let tray = Tray { width_m: t.width_m, length_m: t.length_m, height_m: t.wall_height_m, wall_m: t.wall_m };
     Ok(WorldSettings { tray: Some(tray), ..WorldSettings::default() })
 }
 
@@ -189,37 +196,62 @@ fn fill(simulation: &Simulation, settings: &WorldSettings) -> anyhow::Result<Wor
 #[derive(Debug)]
 struct SimulatedTruth {
     shared: SharedWorld,
-    /// Delivered and lost when asked last.
-    last: Mutex<(usize, usize)>,
+    known: Mutex<Known>,
+}
+
+/// What a witness remembers.
+#[derive(Debug)]
+struct Known {
+    /// Delivered when asked last.
+    delivered: BTreeSet<ObjectId>,
+    /// Beside the tray since before the run: not lost by it.
+    beside: BTreeSet<ObjectId>,
+}
+
+impl SimulatedTruth {
+    /// A witness of what becomes of the objects from now on.
+    async fn new(shared: &SharedWorld) -> Result<Self, WorldEnded> {
+        let census = shared.census().await?;
+        let beside = census.elsewhere.iter().map(|object| object.id).collect();
+        let known = Known { delivered: delivered(&census), beside };
+        Ok(Self { shared: shared.clone(), known: Mutex::new(known) })
+    }
+}
+
+fn delivered(census: &Census) -> BTreeSet<ObjectId> {
+    census.delivered.iter().map(|object| object.id).collect()
 }
 
 #[graspd_adapters_core::async_trait]
 impl Witness for SimulatedTruth {
-    async fn outcome(&self, _attempt: u32) -> Witnessed {
+    async fn outcome(&self, _attempt: u32) -> Option<Witnessed> {
         // A world that has ended has nothing to tell; the devices report it.
-        let rested = self.shared.wait(REST_S).await;
-        let census = match rested {
-            Ok(()) => self.shared.census().await.unwrap_or_default(),
-            Err(_) => return Witnessed::default(),
-        };
-        let now = (census.delivered.len(), census.elsewhere.len());
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        let since = |now: usize, before: usize| now.saturating_sub(before) as u32;
+        self.shared.wait(REST_S).await.ok()?;
+        let census = self.shared.census().await.ok()?;
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let elsewhere: BTreeSet<ObjectId> = census.elsewhere.iter().map(|object| object.id).collect();
+        // What the run has moved is its own from then on.
+        known.beside.retain(|id| elsewhere.contains(id));
+        let arrived = delivered(&census);
         let witnessed = Witnessed {
-            delivered: since(now.0, last.0),
-            lost: since(now.1, last.1),
+            delivered: arrived.difference(&known.delivered).count() as u32,
+            lost: elsewhere.difference(&known.beside).count() as u32,
             in_tray: census.tray.len() as u32,
             in_hand: census.held.len() as u32,
             remaining: census.tray.iter().map(|object| object.name.clone()).collect(),
         };
-        *last = now;
-        witnessed
+        known.delivered = arrived;
+        Some(witnessed)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use graspd_cell::observer::Silent;
+    use graspd_cell::{Cell, clear_tray};
+    use graspd_sim::object::Object;
+    use nalgebra::Isometry3;
 
     async fn refused(text: &str) -> String {
         let config = CellConfig::parse(text).unwrap();
@@ -240,6 +272,11 @@ mod tests {
             ("[simulation.faults.camera]\ndrop = 1.0", "unknown field `drop`"),
             ("[arm.settings]\nreach = 1.0", "arm.settings: unknown field `reach`"),
             ("[tray]\nyaw_rad = 0.5", "tray.yaw_rad"),
+            (
+                "[drop]\nposition_m = [0.22, 0, 0.25]",
+                "the bin stands around drop.position_m = [0.22, 0.0, 0.25]: bins.bin.center_m: found",
+            ),
+            ("[tray]\nwall_height_m = 0.0", "tray.wall_height_m: found 0"),
             ("[simulation]\nscene = \"none.json\"", "none.json: cannot be read"),
         ] {
             let text = format!("{text}\n[simulation]\nobjects = 0\n");
@@ -251,5 +288,74 @@ mod tests {
             let message = refused(&text).await;
             assert!(message.contains(expected), "{message}\nshould contain\n{expected}");
         }
+    }
+
+    /// What the witness says, and that it adds up to `objects`.
+    async fn says(truth: &SimulatedTruth, before: &mut u32, objects: u32) -> Witnessed {
+        let seen = truth.outcome(1).await.unwrap();
+        *before += seen.delivered;
+        assert_eq!(*before + seen.lost + seen.in_tray + seen.in_hand, objects, "{seen:?}");
+        seen
+    }
+
+    #[tokio::test]
+    async fn what_the_witness_counts_adds_up() {
+        let mut world = World::new(WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() });
+        let cuboid = |name: &str| Arc::new(Object::cuboid(name, Vector3::new(0.02, 0.02, 0.02)).unwrap());
+        let at = |x: f64, y: f64| Isometry3::translation(x, y, 0.02);
+        let first = world.add(cuboid("first"), &at(0.0, 0.0));
+        let second = world.add(cuboid("second"), &at(0.1, 0.0));
+        let beside = world.add(cuboid("beside"), &at(0.0, 0.35));
+        let (beyond, bin) = (at(-0.3, 0.0), at(0.40, 0.0));
+        let shared = SharedWorld::new(world, SharedWorldSettings::default()).unwrap();
+        let truth = SimulatedTruth::new(&shared).await.unwrap();
+        let place = |id, to: Isometry3<f64>| shared.with(move |world| assert!(world.place(id, &to)));
+        let mut all = 0;
+        let seen = says(&truth, &mut all, 2).await;
+        assert_eq!(
+            (seen.delivered, seen.lost, seen.in_tray),
+            (0, 0, 2),
+            "the third lay beside the tray before"
+        );
+        assert_eq!(seen.remaining, ["first", "second"]);
+        // One leaves the tray, and stays where it is.
+        place(first, beyond).await.unwrap();
+        assert_eq!(says(&truth, &mut all, 2).await.lost, 1);
+        assert_eq!(says(&truth, &mut all, 2).await.lost, 1, "still lost");
+        // It comes back while the other one leaves: one is lost, as before, and it is another one.
+        place(first, at(0.0, 0.0)).await.unwrap();
+        place(second, beyond).await.unwrap();
+        let seen = says(&truth, &mut all, 2).await;
+        assert_eq!((seen.lost, &seen.remaining[..]), (1, &["first".to_owned()][..]));
+        // What was lost is delivered after all.
+        place(second, bin).await.unwrap();
+        let seen = says(&truth, &mut all, 2).await;
+        assert_eq!((seen.delivered, seen.lost, seen.in_tray), (1, 0, 1));
+        assert_eq!(says(&truth, &mut all, 2).await.delivered, 0, "an object arrives once");
+        // What lay beside the tray is the run's from when it picks it up.
+        place(beside, at(0.1, 0.0)).await.unwrap();
+        assert_eq!(says(&truth, &mut all, 3).await.in_tray, 2);
+        place(beside, beyond).await.unwrap();
+        assert_eq!(says(&truth, &mut all, 3).await.lost, 1);
+        // A world that has ended has nothing to tell.
+        let broken = shared.with::<()>(|_| std::panic::resume_unwind(Box::new("a step that fails"))).await;
+        assert_eq!((broken, truth.outcome(1).await), (Err(WorldEnded), None));
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_run_counts_every_object_that_the_witness_sees() {
+        let text = "[hand]\nid = \"robotiq-2f85\"\n[run]\ntrials = 3\n[simulation]\nobjects = 2\n";
+        let config = CellConfig::parse(text).unwrap();
+        let Devices { camera, arm, hand, witness } = devices(&config).await.unwrap();
+        let report = super::super::with_planner(&config, async |planner| {
+            let cell = Cell { camera, arm, hand, planner: Arc::new(planner), witness: Some(witness) };
+            Ok(clear_tray(&cell, &config, &mut Silent).await?)
+        });
+        let t = report.await.unwrap().tally;
+        let sum = t.delivered.unwrap() + t.lost.unwrap() + t.in_tray.unwrap() + t.in_hand.unwrap();
+        assert_eq!(sum, 2, "{t:?}");
+        assert_eq!(t.remaining.len() as u32, t.in_tray.unwrap());
+        // This gripper takes at least one of them, and each success is an object that arrived.
+        assert!(t.successes >= 1 && t.successes <= t.delivered.unwrap(), "{t:?}");
     }
 }
