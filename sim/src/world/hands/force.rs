@@ -3,10 +3,13 @@
 use nalgebra::Vector3;
 
 use super::{HandId, Touched};
-use crate::world::World;
+use crate::world::{ObjectId, World};
 
 /// What a force sensor at the wrist measures: the sum, as vectors, of all that presses on the hand from outside,
 /// smoothed. What fingers hold presses on them from all sides and cancels; what stands in the hand's way does not.
+///
+/// Of contacts only the normal forces are known, and pads that meet an object askew hold it with much friction. An
+/// object that nothing but the hand touches is therefore felt by its weight, whatever the fingers squeeze it with.
 #[derive(Debug, Clone)]
 pub struct WristForce {
     filter_s: f64,
@@ -28,7 +31,23 @@ impl WristForce {
     /// Takes in the world's last step; to be called after each. The force now, newtons.
     pub fn feel(&mut self, world: &World, hand: HandId) -> f64 {
         let (mut fixed, mut movable) = (Vector3::zeros(), Vector3::zeros());
+        let mut hanging: Vec<(ObjectId, bool)> = Vec::new();
         for contact in world.hand_contacts(hand) {
+            if let Touched::Object(id) = contact.touched {
+                let known = hanging.iter().find(|h| h.0 == id).map(|h| h.1);
+                let hangs = known.unwrap_or_else(|| {
+                    let hangs = world.hangs_in(hand, id);
+                    hanging.push((id, hangs));
+                    if hangs {
+                        let mass = world.object(id).map_or(0.0, |o| o.mass_kg);
+                        movable -= Vector3::z() * mass * world.settings().gravity;
+                    }
+                    hangs
+                });
+                if hangs {
+                    continue;
+                }
+            }
             let force = -contact.normal * contact.force_n;
             match contact.touched {
                 Touched::Table | Touched::Tray => fixed += force,

@@ -288,6 +288,20 @@ impl World {
         out
     }
 
+    /// True when nothing but the hand touches an object: all that it does to the hand is to weigh.
+    pub(crate) fn hangs_in(&self, hand: HandId, id: ObjectId) -> bool {
+        let Some(placed) = self.objects.iter().find(|p| p.id == id) else { return false };
+        let Some(body) = self.physics.bodies.get(placed.body) else { return false };
+        body.colliders().iter().all(|&collider| {
+            self.physics.contact_pairs_with(collider).all(|pair| {
+                let other = if pair.collider1 == collider { pair.collider2 } else { pair.collider1 };
+                let presses =
+                    pair.solver_manifolds().iter().any(|m| m.points.iter().any(|p| p.data.impulse > 0.0));
+                !presses || self.touched(other) == Some(Touched::Hand(hand))
+            })
+        })
+    }
+
     fn touched(&self, collider: ColliderHandle) -> Option<Touched> {
         let collider = self.physics.colliders.get(collider)?;
         let body = collider.parent()?;
