@@ -135,7 +135,7 @@ pub struct HandConfig {
 impl Default for HandConfig {
     fn default() -> Self {
         Self {
-            id: "leap".to_owned(),
+            id: "robotiq-2f85".to_owned(),
             adapter: "mock".to_owned(),
             meet_s: 0.5,
             speed: 0.5,
