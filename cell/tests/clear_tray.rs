@@ -122,7 +122,7 @@ async fn a_hand_that_is_not_the_planned_one_is_refused_before_anything_moves() {
     let error = clear_tray(&cell, &config(), &mut watcher).await.unwrap_err().to_string();
     assert_eq!(
         error,
-        "actuators of other: found [\"jaw\"], expected [\"finger\", \"thumb\"], those of hand leap"
+        "actuators of other: found [\"jaw\"], expected [\"finger\", \"thumb\"], those of hand robotiq-2f85"
     );
     assert!(!shared.world().calls.contains_key("move_to"));
 }
