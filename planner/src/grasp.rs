@@ -38,7 +38,8 @@ pub struct GraspContact {
 pub struct ScoreParts {
     /// From the optimized objective.
     pub objective: f64,
-    /// Force-closure margin with friction (Ferrari-Canny, torques scaled by the object's size).
+    /// Force-closure margin with friction (Ferrari-Canny, torques scaled by the object's size), times how squarely two
+    /// of the touched surfaces face away from each other.
     pub force_closure: f64,
     /// Room around the parts that do not touch, at the grasp and on the approach.
     pub clearance: f64,

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Translation3, Unit, Vector3};
 
 use super::collision::{self, SCENE_TOLERANCE_VOXELS, SELF_TOLERANCE_M, TABLE_TOLERANCE_M};
 use super::force_closure::{self, Directions, Push};
-use super::touch::{self, Touch};
+use super::touch::{self, ALIGNED, CONTACT_VOXELS, Touch};
 use super::{closing, opposition, score};
 use crate::configuration::Configuration;
 use crate::grasp::{Grasp, ObjectiveTerms, Postures, RejectReason};
@@ -18,10 +18,6 @@ use crate::orientation::Allowed;
 use crate::refine::CenteredCentroid;
 use crate::scene::Scene;
 
-/// A candidate this close to the scene's surface is a contact, voxels.
-const CONTACT_VOXELS: f64 = 1.5;
-/// Smallest cosine between a pad's normal and the inward direction that makes a contact.
-const ALIGNED: f64 = 0.2;
 /// Smallest force-closure margin.
 const LEAST_MARGIN: f64 = 0.005;
 /// Openings that are tried for the approach, from fully open (share of the way from contact to open).

@@ -9,6 +9,7 @@ use nalgebra::Vector3;
 
 use super::closing::{Closer, DRAW_M, SHIFT_M, STEP_M, TABLE_ROOM_M, feel, is_object};
 use super::opposition;
+use super::touch::{ALIGNED, CONTACT_VOXELS};
 use crate::balance;
 use crate::configuration::Configuration;
 use crate::objective::{Objective, Scratch};
@@ -17,10 +18,6 @@ use crate::objective::{Objective, Scratch};
 const SHAPES: [f64; 5] = [0.2, 0.4, 0.55, 0.7, 0.85];
 /// How evenly pads count where they are to balance each other (see [`balance`]).
 const EVENNESS: f64 = 0.2;
-/// A pad touches when a candidate is this close to the surface, voxels ...
-const CONTACT_VOXELS: f64 = 1.5;
-/// ... and faces it, by this cosine at least.
-const ALIGNED: f64 = 0.2;
 /// The hand is drawn back by at least this much at a time, metres ...
 const LEAST_STEP_M: f64 = 0.001;
 /// ... and this far at most.

@@ -7,6 +7,10 @@ use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use crate::grasp::GraspContact;
 use crate::hand_model::HandModel;
 
+/// A candidate this close to the scene's surface is a contact, voxels.
+pub(super) const CONTACT_VOXELS: f64 = 1.5;
+/// Smallest cosine between a pad's normal and the inward direction that makes a contact.
+pub(super) const ALIGNED: f64 = 0.2;
 /// The line between two fingers may leave their friction cones by this much, radians.
 const OPPOSED_SLACK_RAD: f64 = 0.2;
 
