@@ -199,11 +199,7 @@ impl SharedWorld {
     /// # Errors
     /// [`WorldEnded`].
     pub async fn hold_after(&self, seconds: f64) -> Result<Hold, WorldEnded> {
-        let until_s = self.time_s() + seconds.max(0.0);
-        let (reply, answer) = oneshot::channel();
-        let (clock, jobs) = (self.clock.clone(), Arc::downgrade(&self.jobs));
-        self.send(Box::new(move |stage| stage.start(HoldAt { until_s, reply: Some(reply), clock, jobs })))?;
-        answer.await.map_err(|_| WorldEnded)
+        hold_after(&self.clock, &self.jobs, seconds).await.map_err(|_| WorldEnded)
     }
 
     pub(crate) async fn wait_until(&self, until_s: f64) -> Result<(), WorldEnded> {
@@ -302,6 +298,30 @@ pub(crate) fn ended(device: &str) -> DeviceError {
 pub struct Hold {
     clock: Arc<Clock>,
     jobs: Weak<Sender<Job>>,
+}
+
+impl Hold {
+    /// Lets this many seconds go by and stops the clock again. Whoever was asked for something during this hold
+    /// begins at its end, however late the caller's own thread comes to run.
+    ///
+    /// # Errors
+    /// [`WorldEnded`].
+    pub async fn go_on(self, seconds: f64) -> Result<Hold, WorldEnded> {
+        let jobs = self.jobs.upgrade().ok_or(WorldEnded)?;
+        let answer = hold_after(&self.clock, &jobs, seconds);
+        drop((self, jobs));
+        answer.await.map_err(|_| WorldEnded)
+    }
+}
+
+/// Asks the world to stop its clock in this many seconds; a world that has ended drops the question.
+fn hold_after(clock: &Arc<Clock>, jobs: &Arc<Sender<Job>>, seconds: f64) -> oneshot::Receiver<Hold> {
+    let until_s = clock.now_s() + seconds.max(0.0);
+    let (reply, answer) = oneshot::channel();
+    let (clock, weak) = (clock.clone(), Arc::downgrade(jobs));
+    let _ended = jobs
+        .send(Box::new(move |stage| stage.start(HoldAt { until_s, reply: Some(reply), clock, jobs: weak })));
+    answer
 }
 
 impl Drop for Hold {

@@ -55,19 +55,20 @@ async fn no_motion_accelerates_more_than_it_may() {
     let shared = shared(0.0);
     let arm = arm(&shared, Faults::default()).await;
     let goal = down(0.3, 0.0, 0.25);
+    let mut held = shared.hold_after(0.0).await.unwrap();
     let (moved, speeds) = tokio::join!(arm.move_linear(&goal, LIMITS, TEN), async {
         let mut speeds = Vec::new();
         let mut before: Option<(f64, f64)> = None;
         // While it accelerates, and a little longer.
         while shared.time_s() < 0.15 {
-            let held = shared.hold_after(0.025).await.unwrap();
+            held = held.go_on(0.025).await.unwrap();
             let x = arm.state(SECOND).await.unwrap().world_from_flange.translation.x;
             let now = (shared.time_s(), x);
             if let Some((time_s, at)) = before.replace(now) {
                 speeds.push((x - at) / (now.0 - time_s));
             }
-            drop(held);
         }
+        drop(held);
         speeds
     });
     moved.unwrap();
@@ -122,8 +123,9 @@ async fn a_stop_ends_the_motion_as_stopped() {
     let shared = shared(0.0);
     let arm = arm(&shared, Faults::default()).await;
     let goal = down(0.25, 0.0, 0.25);
+    let held = shared.hold_after(0.0).await.unwrap();
     let (motion, stop) = tokio::join!(arm.move_linear(&goal, LIMITS, TEN), async {
-        let held = shared.hold_after(0.5).await.unwrap();
+        let held = held.go_on(0.5).await.unwrap();
         assert_eq!(arm.state(SECOND).await.unwrap().mode, ArmMode::Moving);
         tokio::join!(arm.stop(SECOND), async { drop(held) }).0
     });
@@ -141,8 +143,9 @@ async fn a_newer_motion_replaces_or_is_refused_as_the_capability_says() {
         let arm = MockArm::new(&shared, gripper(&shared).await, settings, Faults::default()).unwrap();
         assert_eq!(arm.info().replaces_motion, replaces_motion);
         let (first, second) = (down(0.2, 0.0, 0.25), down(-0.1, 0.0, 0.25));
+        let held = shared.hold_after(0.0).await.unwrap();
         let (one, two) = tokio::join!(arm.move_linear(&first, LIMITS, TEN), async {
-            let held = shared.hold_after(0.3).await.unwrap();
+            let held = held.go_on(0.3).await.unwrap();
             tokio::join!(arm.move_linear(&second, LIMITS, TEN), async { drop(held) }).0
         });
         let at = arm.state(SECOND).await.unwrap().world_from_flange;
@@ -209,8 +212,9 @@ async fn an_emergency_stop_needs_a_person() {
     arm.move_to(&goal, LIMITS, TEN).await.unwrap();
     // Pressed by hand in the middle of a motion.
     let back = down(0.0, 0.0, 0.25);
+    let held = shared.hold_after(0.0).await.unwrap();
     let (motion, ()) = tokio::join!(arm.move_to(&back, LIMITS, TEN), async {
-        let _held = shared.hold_after(0.2).await.unwrap();
+        let _held = held.go_on(0.2).await.unwrap();
         arm.faults().update(|f| f.emergency_stop = true).unwrap();
     });
     assert_eq!(kind(&motion.unwrap_err()), Some(FaultKind::EmergencyStop));

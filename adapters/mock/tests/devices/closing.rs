@@ -55,8 +55,9 @@ fn around_the_box() -> CloseCommand {
 async fn all_fingers_are_on_their_way_to_contact_by_the_same_share() {
     let (shared, hand, _, actuators) = leap().await;
     let command = uneven(&actuators);
+    let held = shared.hold_after(0.0).await.unwrap();
     let (closed, halfway) = tokio::join!(hand.close(&command, TEN), async {
-        let _held = shared.hold_after(0.3).await.unwrap();
+        let _held = held.go_on(0.3).await.unwrap();
         hand.state(SECOND).await.unwrap()
     });
     let shares: Vec<f64> = actuators
@@ -132,8 +133,9 @@ async fn faults_reach_who_closes() {
     assert!(matches!(error, DeviceError::Timeout { operation: "close", .. }), "{error}");
     let error = hand.close(&command, Duration::from_millis(300)).await.unwrap_err();
     assert!(matches!(error, DeviceError::Timeout { operation: "close", .. }), "{error}");
+    let held = shared.hold_after(0.0).await.unwrap();
     let (first, second) = tokio::join!(hand.close(&command, TEN), async {
-        let held = shared.hold_after(0.1).await.unwrap();
+        let held = held.go_on(0.1).await.unwrap();
         let other = command.clone();
         tokio::join!(hand.close(&other, TEN), async { drop(held) }).0
     });

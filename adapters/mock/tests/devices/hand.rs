@@ -119,8 +119,9 @@ async fn an_overloaded_hand_lets_go_and_works_again_when_cleared() {
 async fn a_second_grip_is_refused_while_one_runs() {
     let (shared, hand) = hand_in_the_air(Faults::default()).await;
     let slow = GripCommand { speed: 0.1, ..close(0.05) };
+    let held = shared.hold_after(0.0).await.unwrap();
     let (first, second) = tokio::join!(hand.grip(&slow, TEN), async {
-        let held = shared.hold_after(0.1).await.unwrap();
+        let held = held.go_on(0.1).await.unwrap();
         let command = close(0.0);
         tokio::join!(hand.grip(&command, TEN), async { drop(held) }).0
     });
@@ -158,8 +159,9 @@ async fn dropping_a_grip_stops_the_fingers() {
 async fn an_answer_that_is_lost_does_not_undo_what_was_done() {
     let (shared, hand) = hand_in_the_air(Faults::default()).await;
     let command = close(0.04);
+    let held = shared.hold_after(0.0).await.unwrap();
     let (lost, ()) = tokio::join!(hand.grip(&command, TEN), async {
-        let _held = shared.hold_after(0.1).await.unwrap();
+        let _held = held.go_on(0.1).await.unwrap();
         hand.faults().update(|f| f.silent = Some(Spell::Seconds(9.0))).unwrap();
     });
     let DeviceError::Timeout { after, .. } = lost.unwrap_err() else { panic!("an answer came") };

@@ -115,10 +115,12 @@ async fn impossible_settings_are_named() {
 #[tokio::test]
 async fn a_hold_stops_the_clock_at_an_exact_moment_until_it_is_dropped() {
     let shared = shared(0.0);
+    let held = shared.hold_after(0.0).await.unwrap();
+    let began_s = shared.time_s();
     let (went_on, ()) = tokio::join!(shared.wait(2.0), async {
-        let held = shared.hold_after(0.5).await.unwrap();
+        let held = held.go_on(0.5).await.unwrap();
         tokio::time::sleep(Duration::from_millis(30)).await;
-        assert!((shared.time_s() - 0.5).abs() < 1e-9, "{}", shared.time_s());
+        assert!((shared.time_s() - began_s - 0.5).abs() < 1e-9, "{}", shared.time_s());
         drop(held);
     });
     went_on.unwrap();
