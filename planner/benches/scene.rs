@@ -12,7 +12,7 @@ use graspd_planner::grid::Grid;
 use graspd_planner::options::{SceneOptions, VolumeKind};
 use graspd_planner::refine::{distance_to, refine, signed_distance_m};
 use graspd_planner::scene::prepare;
-use graspd_planner::volume::Volume;
+use graspd_planner::volume::{View, Volume};
 use graspd_planner::workspace::{Workspace, frame_points};
 use nalgebra::Isometry3;
 
@@ -71,6 +71,14 @@ fn solid(bencher: Bencher) {
     bencher.bench(|| volume.objects(&volume.solid()));
 }
 
+#[divan::bench(name = "volume.surface")]
+fn surface(bencher: Bencher) {
+    let (frame, depth, workspace, volume) = observed();
+    let solid = volume.solid();
+    let view = View::of(&frame, &depth, &workspace.world_from_volume);
+    bencher.bench(|| volume.surface(black_box(&solid), &[view]));
+}
+
 #[divan::bench(name = "estimate.geometric")]
 fn geometric(bencher: Bencher) {
     let (.., volume) = observed();
@@ -79,11 +87,12 @@ fn geometric(bencher: Bencher) {
 
 #[divan::bench(name = "refine")]
 fn refinement(bencher: Bencher) {
-    let (.., volume) = observed();
+    let (frame, depth, workspace, volume) = observed();
     let Ok(field) = Geometric.estimate(&volume, &Unlimited) else { return };
     let solid = volume.solid();
+    let surface = volume.surface(&solid, &[View::of(&frame, &depth, &workspace.world_from_volume)]);
     let options = SceneOptions::default();
-    bencher.bench(|| refine(black_box(&field), &solid, volume.table_m, None, &options));
+    bencher.bench(|| refine(black_box(&field), &solid, &surface, volume.table_m, None, &options));
 }
 
 #[divan::bench(name = "refine.distance_to_contacts")]

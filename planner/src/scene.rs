@@ -11,7 +11,7 @@ use crate::frame::{CleanOptions, Frame, FrameError, MAX_TRANSLATION_M, clean_dep
 use crate::grid::{Grid, GridError};
 use crate::options::{Region, SceneOptions, WorkspaceRequest};
 use crate::refine::{Features, refine};
-use crate::volume::{Volume, VoxelState};
+use crate::volume::{View, Volume, VoxelState};
 use crate::workspace::{Workspace, frame_points};
 
 /// One observation, refined: the input of every hand's optimization.
@@ -156,11 +156,14 @@ pub fn prepare(
     let mut volume = Volume::empty(workspace.grid, workspace.table_m);
     volume.kind = options.volume;
     volume.region = region_in_volume(options, &workspace);
-    for (frame, depth) in frames.iter().zip(&depths) {
-        let world_from_camera = frame.world_from_camera.unwrap_or_else(Isometry3::identity);
-        volume.integrate(frame, depth, &(world_from_camera.inverse() * workspace.world_from_volume));
+    let seen = frames.iter().zip(&depths);
+    let views: Vec<View<'_>> =
+        seen.map(|(frame, depth)| View::of(frame, depth, &workspace.world_from_volume)).collect();
+    for view in &views {
+        volume.integrate(view.frame, view.depth, &view.camera_from_volume);
     }
     let solid = volume.solid();
+    let surface = volume.surface(&solid, &views);
     let objects = volume.object_groups(&solid);
     let observation = observe(&volume, &objects);
     stages.end("volume")?;
@@ -172,7 +175,7 @@ pub fn prepare(
     }
     stages.end("estimate")?;
 
-    let features = refine(&contact_field, &solid, volume.table_m, volume.voxel_labels(), options);
+    let features = refine(&contact_field, &solid, &surface, volume.table_m, volume.voxel_labels(), options);
     let world_from_camera = points.world_from_camera;
     let eye = (workspace.world_from_volume.inverse() * world_from_camera) * Point3::origin();
     let view_direction = view_direction(&workspace.grid, &objects, &eye);
@@ -225,7 +228,7 @@ pub fn from_contact_field(
     let objects = volume.object_groups(solid);
     let observation = observe(&volume, &objects);
     stages.end("volume")?;
-    let features = refine(&field, solid, table_m, None, options);
+    let features = refine(&field, solid, &[], table_m, None, options);
     stages.end("refine")?;
     // Above the middle by the cube's own height, looking down.
     let eye = Point3::new(0.5 * grid.size_m, 0.5 * grid.size_m, 2.0 * grid.size_m);

@@ -3,10 +3,12 @@
 mod cells;
 mod cluster;
 mod distance;
+mod sharpen;
 
 pub use cells::{CHANNELS, Cell, FieldCells, Sample};
 pub use cluster::{EPS_M, MIN_POINTS, dbscan};
 pub use distance::{distance_to, signed_distance_m};
+pub use sharpen::sharpen;
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -14,6 +16,7 @@ use rayon::prelude::*;
 use crate::contact_field::ContactField;
 use crate::grid::Grid;
 use crate::options::SceneOptions;
+use crate::volume::SurfaceVoxel;
 
 /// Clusters of fewer focal centroids are dropped when a larger one exists.
 pub const MIN_CLUSTER: usize = 10;
@@ -57,12 +60,14 @@ pub struct Features {
 /// Refines a contact field (Supplementary Note 3).
 ///
 /// Focal contacts and focal centroids are the voxels above a share of their field's maximum; focal centroids are
-/// clustered by [`dbscan`] into centred centroids. `solid` is what a hand must not enter, one entry per voxel;
+/// clustered by [`dbscan`] into centred centroids. `solid` is what a hand must not enter, one entry per voxel, and
+/// `surface` where its surface lies within voxels, as far as that is known (else whole voxels are taken);
 /// `labels` the object label of each voxel, 0 for none. Values that are not finite count as 0, so a field loaded
 /// from elsewhere cannot spoil the optimization; an empty field gives empty features.
 pub fn refine(
     field: &ContactField,
     solid: &[bool],
+    surface: &[SurfaceVoxel],
     table_m: Option<f64>,
     labels: Option<&[u8]>,
     options: &SceneOptions,
@@ -77,7 +82,8 @@ pub fn refine(
         is_focal[i as usize] = true;
     }
     let contact_distance = distance_to(&grid, |i| is_focal[i]);
-    let scene_distance_m = signed_distance_m(&grid, solid);
+    let mut scene_distance_m = signed_distance_m(&grid, solid);
+    sharpen(&grid, solid, surface, &mut scene_distance_m);
     let cells = fill(field, largest, contact_distance.as_deref(), &scene_distance_m);
     Features {
         grid,

@@ -36,7 +36,7 @@ fn thresholds_clusters_and_weights() {
     let mut labels = vec![0u8; field.grid.len()];
     labels[field.grid.index(12, 6, 7)] = 7;
     labels[field.grid.index(12, 18, 17)] = 9;
-    let features = refine(&field, &solid, Some(0.01), Some(&labels), &SceneOptions::default());
+    let features = refine(&field, &solid, &[], Some(0.01), Some(&labels), &SceneOptions::default());
     // 0.3 is below 0.7 of 0.5.
     assert_eq!(features.focal_contacts.len(), 8 * 12);
     assert_eq!(features.centroids.len(), 2);
@@ -51,7 +51,7 @@ fn thresholds_clusters_and_weights() {
 #[test]
 fn directions_lead_into_the_object_on_both_sides() {
     let (field, solid) = wall();
-    let features = refine(&field, &solid, None, None, &SceneOptions::default());
+    let features = refine(&field, &solid, &[], None, None, &SceneOptions::default());
     for x in [0, 2, 4, 5, 6, 7, 9] {
         let cell = features.cells.cells[field.grid.index(x, 12, 12)].0;
         assert!((cell[2] - 1.0).abs() < 1e-5, "x = {x}: {cell:?}");
@@ -63,7 +63,7 @@ fn directions_lead_into_the_object_on_both_sides() {
 #[test]
 fn empty_fields_give_empty_features() {
     let field = empty_field(Grid { resolution: 10, size_m: 0.1 });
-    let features = refine(&field, &[], None, None, &SceneOptions::default());
+    let features = refine(&field, &[], &[], None, None, &SceneOptions::default());
     assert!(features.focal_contacts.is_empty() && features.centroids.is_empty());
     assert!(features.cells.cells.iter().all(|c| c.0[0] == 0.1 && c.0[5] == 0.1));
 }
@@ -79,7 +79,7 @@ proptest! {
         let grid = Grid { resolution: 8, size_m: 0.04 };
         let inward = values.iter().map(|&v| [v, -v, v * 1e30]).collect();
         let field = ContactField { grid, certainty: values.clone(), inward, centroid: values };
-        let features = refine(&field, &solid, None, None, &SceneOptions::default());
+        let features = refine(&field, &solid, &[], None, None, &SceneOptions::default());
         prop_assert!(features.cells.cells.iter().all(|c| c.0.iter().all(|v| v.is_finite())));
         prop_assert!(features.cells.cells.iter().all(|c| (0.0..=1.0).contains(&c.0[1])));
         let sum: f64 = features.centroids.iter().map(|c| c.weight).sum();

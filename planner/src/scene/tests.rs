@@ -109,7 +109,8 @@ fn every_block_gets_a_centroid_and_contacts_lie_on_sides() {
             assert!(grid.center(grid.voxel(i as usize)).z > table + 0.5 * grid.voxel_m());
             assert!(inward[2].abs() < 0.7, "a contact on a top: {inward:?}");
             let [.., scene_distance, _, _] = scene.features.cells.cells[i as usize].0;
-            assert!(scene_distance > 0.0 && scene_distance < 0.01);
+            // Contacts are at voxels that are free at their centres; the surface may run a little outside.
+            assert!(scene_distance > -0.002 && scene_distance < 0.01, "{scene_distance}");
         }
         let down = scene.workspace.world_from_volume * scene.view_direction.into_inner();
         let expected = if posed { tilted() * Vector3::z() } else { Vector3::z() };
@@ -226,7 +227,11 @@ fn a_loaded_field_keeps_its_table_and_its_sizes_are_checked() {
     let loaded = from_contact_field(made.contact_field.clone(), &solid, &options, &Unlimited).unwrap();
     assert!((loaded.workspace.table_m.unwrap() - 0.1).abs() < 1e-9);
     assert_eq!(loaded.features.focal_contacts, made.features.focal_contacts);
-    assert_eq!(loaded.features.scene_distance_m, made.features.scene_distance_m);
+    // The depth image that told where surfaces lie within voxels is not there any more.
+    let voxel = made.workspace.grid.voxel_m() as f32;
+    let distances = loaded.features.scene_distance_m.iter().zip(&made.features.scene_distance_m);
+    assert!(distances.clone().all(|(loaded, made)| (loaded - made).abs() < voxel));
+    assert!(distances.clone().any(|(loaded, made)| loaded != made));
     let error = from_contact_field(made.contact_field, &solid[1..], &options, &Unlimited).unwrap_err();
     assert!(matches!(error, SceneError::SolidSize { .. }));
 }

@@ -2,13 +2,15 @@
 //!
 //! One structure keeps what both encodings of the paper (Supplementary Note 2: TSDF and Voxel) and the collision
 //! geometry need: [`integrate`](Volume::integrate) fuses frames, [`network_input`](Volume::network_input) encodes,
-//! [`solid`](Volume::solid) says what a hand must not enter.
+//! [`solid`](Volume::solid) says what a hand must not enter, [`surface`](Volume::surface) where exactly that ends.
 
 mod encode;
 mod integrate;
 mod solid;
+mod surface;
 
 pub use solid::{MIN_OBJECT_VOXELS, PIT_VOXELS};
+pub use surface::{SurfaceVoxel, View};
 
 use crate::grid::Grid;
 use crate::options::{Region, VolumeKind};

@@ -212,3 +212,46 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn surface_voxels_are_filled_to_where_the_wall_stands() {
+    for depth_m in [0.7005_f32, 0.703, 0.7055, 0.7081] {
+        let frame = wall(depth_m, [0.0; 8]);
+        let volume = fused(&frame);
+        let solid = volume.solid();
+        let view = View { frame: &frame, depth: &frame.image.depth_m, camera_from_volume: ahead() };
+        let surface = volume.surface(&solid, &[view]);
+        // The layer of voxels from 0.70 m to 0.71 m is cut by the wall: its back part is solid. Of the last free and the
+        // first solid layer both are at the surface, so the sums over both are known.
+        let layers = |z: usize| {
+            let own = surface.iter().filter(|s| volume.grid.voxel(s.index as usize)[2] == z);
+            let all: Vec<f64> = own.map(|s| f64::from(s.filled)).collect();
+            (all.len(), all.iter().sum::<f64>() / all.len().max(1) as f64)
+        };
+        let behind = (0.71 - f64::from(depth_m)) / 0.01;
+        let (before, cut, after) = (layers(19), layers(20), layers(21));
+        assert!(cut.0 > 900, "{depth_m}: {cut:?}");
+        assert!((cut.1 - behind).abs() < 0.02, "{depth_m}: {cut:?}, {behind}");
+        assert!(before.1 < 0.02 && (after.0 == 0 || after.1 > 0.98), "{depth_m}: {before:?} {after:?}");
+        let strange = View { depth: &frame.image.depth_m[1..], ..view };
+        assert!(
+            volume.surface(&solid, &[strange]).is_empty() && volume.surface(&solid[1..], &[view]).is_empty()
+        );
+    }
+}
+
+#[test]
+fn what_nobody_saw_is_no_part_of_an_object() {
+    // A board in front of a wall that is out of reach: behind the board nothing is known.
+    let mut frame = wall(0.9, [0.0; 8]);
+    for v in 60..100 {
+        frame.image.depth_m[v * WIDTH + 80..][..40].fill(0.603);
+    }
+    let volume = fused(&frame);
+    let solid = volume.solid();
+    let view = View { frame: &frame, depth: &frame.image.depth_m, camera_from_volume: ahead() };
+    let surface = volume.surface(&solid, &[view]);
+    let unknown = |i: usize| !solid[i] && volume.state[i] == VoxelState::Unseen;
+    assert!((0..volume.grid.len()).any(unknown) && !surface.is_empty());
+    assert!(surface.iter().all(|s| !unknown(s.index as usize)));
+}

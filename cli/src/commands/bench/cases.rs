@@ -12,6 +12,7 @@ use graspd_planner::options::{PlanOptions, SceneOptions, Scheme, VolumeKind, Wor
 use graspd_planner::plan;
 use graspd_planner::refine::refine;
 use graspd_planner::scene::Scene;
+use graspd_planner::volume::View;
 use graspd_planner::workspace::{Workspace, frame_points};
 
 use super::stats::time;
@@ -151,13 +152,17 @@ impl Bench {
 
     fn features(&self, scene: &Scene, options: &SceneOptions) -> graspd_planner::refine::Features {
         let field: &ContactField = &scene.contact_field;
-        refine(field, &scene.volume.solid(), scene.volume.table_m, scene.volume.voxel_labels(), options)
+        refine(field, &scene.volume.solid(), &[], scene.volume.table_m, scene.volume.voxel_labels(), options)
     }
 
     fn refine(&self, scene: &Scene, options: &SceneOptions) -> Duration {
         let solid = scene.volume.solid();
         let (table, labels) = (scene.volume.table_m, scene.volume.voxel_labels());
-        time(|| refine(&scene.contact_field, &solid, table, labels, options))
+        let world_from_volume = &scene.workspace.world_from_volume;
+        let surface = scene
+            .volume
+            .surface(&solid, &[View::of(&self.frame, &self.frame.image.depth_m, world_from_volume)]);
+        time(|| refine(&scene.contact_field, &solid, &surface, table, labels, options))
     }
 
     /// The encoding of the bundled frame as a volume: fusion, and the array that an estimator's network reads.
