@@ -1,1 +1,4 @@
-//! Emulators of devices that speak the real protocols.
+//! Emulators of devices that speak the real protocols, with faults on request.
+
+pub mod ur;
+pub mod wire_faults;
