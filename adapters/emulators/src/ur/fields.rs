@@ -118,8 +118,13 @@ pub(crate) fn output(name: &str) -> Option<Output> {
         "target_qd" => (Kind::Vector6, |r, _| Out::Vector6(r.mover.qd)),
         "actual_q" => (Kind::Vector6, |r, _| Out::Vector6(r.state.q)),
         "actual_qd" => (Kind::Vector6, |r, _| Out::Vector6(r.state.qd)),
-        "target_qdd" | "target_current" | "target_moment" | "actual_current" | "joint_control_output"
-        | "actual_current_window" | "payload_inertia" => (Kind::Vector6, |_, _| Out::Vector6([0.0; 6])),
+        "target_qdd"
+        | "target_current"
+        | "target_moment"
+        | "actual_current"
+        | "joint_control_output"
+        | "actual_current_window"
+        | "payload_inertia" => (Kind::Vector6, |_, _| Out::Vector6([0.0; 6])),
         "actual_TCP_pose" => (Kind::Vector6, |r, _| Out::Vector6(to_six(&r.actual_tcp()))),
         "target_TCP_pose" => (Kind::Vector6, |r, _| Out::Vector6(to_six(&r.mover.base_from_tcp()))),
         "actual_TCP_speed" => (Kind::Vector6, |r, _| Out::Vector6(r.mover.tcp_twist(&r.state.qd))),
@@ -136,11 +141,17 @@ pub(crate) fn output(name: &str) -> Option<Output> {
         "robot_status_bits" => (Kind::Uint32, |r, _| Out::Uint32(status_bits(r))),
         "safety_status_bits" => (Kind::Uint32, |r, _| Out::Uint32(r.safety().bits())),
         "speed_scaling" | "target_speed_fraction" => (Kind::Double, |r, _| Out::Double(r.slider)),
-        "actual_execution_time" | "actual_momentum" | "tool_output_current" | "tool_temperature"
-        | "tool_analog_input0" | "tool_analog_input1" | "standard_analog_input0" | "standard_analog_input1"
-        | "io_current" | "tcp_force_scalar" | "actual_robot_current" => {
-            (Kind::Double, |_, _| Out::Double(0.0))
-        }
+        "actual_execution_time"
+        | "actual_momentum"
+        | "tool_output_current"
+        | "tool_temperature"
+        | "tool_analog_input0"
+        | "tool_analog_input1"
+        | "standard_analog_input0"
+        | "standard_analog_input1"
+        | "io_current"
+        | "tcp_force_scalar"
+        | "actual_robot_current" => (Kind::Double, |_, _| Out::Double(0.0)),
         "actual_main_voltage" | "actual_robot_voltage" => (Kind::Double, |_, _| Out::Double(48.0)),
         "standard_analog_output0" => (Kind::Double, |r, _| Out::Double(r.analog_out[0])),
         "standard_analog_output1" => (Kind::Double, |r, _| Out::Double(r.analog_out[1])),
@@ -154,16 +165,12 @@ pub(crate) fn output(name: &str) -> Option<Output> {
         "analog_io_types" | "tool_mode" | "tool_output_mode" | "script_control_line" => {
             (Kind::Uint32, |_, _| Out::Uint32(0))
         }
-        "output_bit_registers0_to_31" => {
-            (Kind::Uint32, |r, _| Out::Uint32(word_of(&r.outputs.bits[..32])))
-        }
+        "output_bit_registers0_to_31" => (Kind::Uint32, |r, _| Out::Uint32(word_of(&r.outputs.bits[..32]))),
         "output_bit_registers32_to_63" => {
             (Kind::Uint32, |r, _| Out::Uint32(word_of(&r.outputs.bits[32..64])))
         }
         "input_bit_registers0_to_31" => (Kind::Uint32, |r, _| Out::Uint32(word_of(&r.inputs.bits[..32]))),
-        "input_bit_registers32_to_63" => {
-            (Kind::Uint32, |r, _| Out::Uint32(word_of(&r.inputs.bits[32..64])))
-        }
+        "input_bit_registers32_to_63" => (Kind::Uint32, |r, _| Out::Uint32(word_of(&r.inputs.bits[32..64]))),
         _ => return None,
     };
     Some(Output { kind, index: 0, get })
@@ -198,7 +205,9 @@ pub(crate) fn input(name: &str) -> Option<Input> {
         Kind::Bool
     } else {
         match name {
-            "speed_slider_mask" | "input_bit_registers0_to_31" | "input_bit_registers32_to_63" => Kind::Uint32,
+            "speed_slider_mask" | "input_bit_registers0_to_31" | "input_bit_registers32_to_63" => {
+                Kind::Uint32
+            }
             "speed_slider_fraction" | "standard_analog_output_0" | "standard_analog_output_1" => Kind::Double,
             "standard_digital_output_mask"
             | "standard_digital_output"

@@ -136,7 +136,8 @@ pub fn to_six(pose: &Isometry3<f64>) -> Six {
 
 /// A pose from position and rotation vector.
 pub fn from_six(six: &Six) -> Isometry3<f64> {
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::new(Vector3::new(six[3], six[4], six[5])));
+    let rotation =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::new(Vector3::new(six[3], six[4], six[5])));
     Isometry3::from_parts(Translation3::new(six[0], six[1], six[2]), rotation)
 }
 
@@ -155,6 +156,8 @@ mod tests {
             assert_eq!(model.joints(&far, &near), None);
         }
         let pose = from_six(&[0.1, 0.2, 0.3, 0.4, -0.5, 0.6]);
-        assert!(to_six(&pose).iter().zip([0.1, 0.2, 0.3, 0.4, -0.5, 0.6]).all(|(a, b)| (a - b).abs() < 1e-12));
+        assert!(
+            to_six(&pose).iter().zip([0.1, 0.2, 0.3, 0.4, -0.5, 0.6]).all(|(a, b)| (a - b).abs() < 1e-12)
+        );
     }
 }

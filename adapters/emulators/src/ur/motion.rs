@@ -93,15 +93,7 @@ pub(crate) struct Mover {
 
 impl Mover {
     pub(crate) fn new(model: UrModel, q: Six) -> Self {
-        Self {
-            model,
-            q,
-            qd: [0.0; 6],
-            tcp: Isometry3::identity(),
-            phase: Phase::Standing,
-            given: 0,
-            done: 0,
-        }
+        Self { model, q, qd: [0.0; 6], tcp: Isometry3::identity(), phase: Phase::Standing, given: 0, done: 0 }
     }
 
     pub(crate) fn set_tcp(&mut self, tcp: Isometry3<f64>) {

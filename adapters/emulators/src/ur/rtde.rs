@@ -125,6 +125,16 @@ impl Session {
     }
 
     fn answer(&mut self, kind: u8, payload: &[u8]) -> Vec<Vec<u8>> {
+        let replies = self.replies(kind, payload);
+        if kind != b'U' || !replies.is_empty() {
+            let shown = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+            let reply = replies.first().map(|r| shown(r));
+            tracing::debug!(kind = %char::from(kind), asked = shown(payload), reply, "emulated RTDE");
+        }
+        replies
+    }
+
+    fn replies(&mut self, kind: u8, payload: &[u8]) -> Vec<Vec<u8>> {
         match kind {
             b'V' => {
                 let accepted = payload == [0, 2];

@@ -251,7 +251,10 @@ fn instant(shared: &Shared, name: &str, a: &Arguments) -> Result<Value, String> 
             robot.watchdog = Some(Watchdog { field, period_s: 1.0 / hz, fed_s });
         }
         // Settings of a force controller that is not emulated: accepted, without effect.
-        "force_mode_set_damping" | "force_mode_set_gain_scaling" | "end_force_mode" | "set_gravity"
+        "force_mode_set_damping"
+        | "force_mode_set_gain_scaling"
+        | "end_force_mode"
+        | "set_gravity"
         | "end_freedrive_mode" => {}
         _ => return Err("not a function of this controller (or not emulated)".into()),
     }
@@ -264,7 +267,11 @@ fn set_output(robot: &mut Robot, a: &Arguments, first: u32, count: i32) -> Resul
         return Err(format!("output {n}, expected 0 to {}", count - 1));
     }
     let bit = 1 << (first + n as u32);
-    if a.need(1, "b")?.truth()? { robot.digital_out |= bit } else { robot.digital_out &= !bit }
+    if a.need(1, "b")?.truth()? {
+        robot.digital_out |= bit
+    } else {
+        robot.digital_out &= !bit
+    }
     Ok(())
 }
 

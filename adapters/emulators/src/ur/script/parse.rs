@@ -18,12 +18,15 @@ pub(crate) fn parse(text: &str) -> Result<Function, ScriptError> {
     }
     let single = matches!(statements.as_slice(), [Statement { kind: Kind::Define(_), .. }]);
     match statements.pop() {
-        Some(Statement { kind: Kind::Define(program), .. }) if single => {
-            Ok(Arc::unwrap_or_clone(program))
-        }
+        Some(Statement { kind: Kind::Define(program), .. }) if single => Ok(Arc::unwrap_or_clone(program)),
         Some(last) => {
             statements.push(last);
-            Ok(Function { name: "unnamed".into(), secondary: false, parameters: Vec::new(), body: statements })
+            Ok(Function {
+                name: "unnamed".into(),
+                secondary: false,
+                parameters: Vec::new(),
+                body: statements,
+            })
         }
         None => Err(ScriptError { line: 0, what: "an empty program".into() }),
     }
@@ -92,7 +95,10 @@ impl Parser {
         }
     }
 
-    fn deeper<T>(&mut self, inner: impl FnOnce(&mut Self) -> Result<T, ScriptError>) -> Result<T, ScriptError> {
+    fn deeper<T>(
+        &mut self,
+        inner: impl FnOnce(&mut Self) -> Result<T, ScriptError>,
+    ) -> Result<T, ScriptError> {
         self.depth += 1;
         let result = if self.depth > DEEPEST { self.wrong("less nesting") } else { inner(self) };
         self.depth -= 1;
@@ -420,7 +426,9 @@ mod tests {
         )
         .unwrap();
         assert_eq!((program.name.as_str(), program.body.len()), ("f", 8));
-        assert!(matches!(&program.body[0].kind, Kind::Assign { scope: Scope::Global, name, .. } if name == "a"));
+        assert!(
+            matches!(&program.body[0].kind, Kind::Assign { scope: Scope::Global, name, .. } if name == "a")
+        );
         assert!(matches!(&program.body[4].kind, Kind::Assign { index: Some(_), .. }));
         let Kind::If { arms, otherwise } = &program.body[6].kind else { panic!("{program:?}") };
         assert_eq!((arms.len(), otherwise.len()), (2, 1));

@@ -235,6 +235,8 @@ impl<'s> Frame<'s> {
                     threads.killed.insert(id);
                     threads.alive.remove(&id);
                 }
+                // What never ran has nothing to kill: scripts keep 0 where there is no thread.
+                Value::Int(_) => {}
                 other => return wrong(line, format!("kill: found {}, expected a thread", other.kind())),
             },
             Kind::Join(thread) => match self.eval(line, thread).await? {
@@ -282,7 +284,8 @@ impl<'s> Frame<'s> {
             let index = usize::try_from(index.whole()?).map_err(|_| "a negative index".to_owned())?;
             match list {
                 Value::Pose(pose) => {
-                    *pose.get_mut(index).ok_or_else(|| format!("index {index} of a pose"))? = value.number()?;
+                    *pose.get_mut(index).ok_or_else(|| format!("index {index} of a pose"))? =
+                        value.number()?;
                 }
                 Value::List(items) => {
                     let length = items.len();

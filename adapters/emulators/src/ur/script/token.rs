@@ -34,7 +34,8 @@ pub struct ScriptError {
 }
 
 const SIGNS: [&str; 21] = [
-    "==", "!=", "<=", ">=", "=", "<", ">", "+", "-", "*", "/", "%", "(", ")", "[", "]", ",", ":", ";", ".", "^",
+    "==", "!=", "<=", ">=", "=", "<", ">", "+", "-", "*", "/", "%", "(", ")", "[", "]", ",", ":", ";", ".",
+    "^",
 ];
 
 /// Splits a script.
@@ -64,7 +65,8 @@ pub(crate) fn tokens(text: &str) -> Result<Vec<Placed>, ScriptError> {
                 rest = &rest[end..];
                 continue;
             }
-            if first.is_ascii_digit() || (first == '.' && rest[1..].starts_with(|c: char| c.is_ascii_digit())) {
+            if first.is_ascii_digit() || (first == '.' && rest[1..].starts_with(|c: char| c.is_ascii_digit()))
+            {
                 let end = number_end(rest);
                 let word = &rest[..end];
                 let token = match word.parse::<i32>() {
@@ -186,7 +188,8 @@ mod tests {
 
     #[test]
     fn numbers_are_read_in_every_notation() {
-        let found: Vec<Token> = tokens("1 2.5 1e-3 .5 3.e2 7").unwrap().into_iter().map(|p| p.token).collect();
+        let found: Vec<Token> =
+            tokens("1 2.5 1e-3 .5 3.e2 7").unwrap().into_iter().map(|p| p.token).collect();
         let expected = [
             Token::Int(1),
             Token::Float(2.5),
