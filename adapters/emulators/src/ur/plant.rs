@@ -83,13 +83,13 @@ impl Plant for JointServo {
     fn step(&mut self, target: &PlantTarget) -> PlantState {
         let share = 1.0 - (-target.dt_s / self.lag_s).exp();
         let mut qd = [0.0; 6];
-        for i in 0..6 {
-            let way = share * (target.q[i] - self.q[i]);
-            qd[i] = way / target.dt_s;
-            self.q[i] += way;
+        for ((q, qd), target_q) in self.q.iter_mut().zip(&mut qd).zip(&target.q) {
+            let way = share * (target_q - *q);
+            *qd = way / target.dt_s;
+            *q += way;
             // A position filter has no friction: end what has become too little to see.
-            if (target.q[i] - self.q[i]).abs() < 1e-9 {
-                self.q[i] = target.q[i];
+            if (target_q - *q).abs() < 1e-9 {
+                *q = *target_q;
             }
         }
         let pushed = self.wall.map_or(Vector3::zeros(), |wall| {

@@ -38,6 +38,7 @@ struct Parser {
     depth: u32,
 }
 
+type Words = &'static [(&'static str, Operator)];
 type Arguments = Vec<(Option<String>, Expr)>;
 
 impl Parser {
@@ -252,7 +253,7 @@ impl Parser {
         if !self.goes_on() {
             return None;
         }
-        let (names, signs): (&[(&str, Operator)], &[(&str, Operator)]) = match level {
+        let (names, signs): (Words, Words) = match level {
             0 => (&[("or", Operator::Or), ("xor", Operator::Xor)], &[]),
             1 => (&[("and", Operator::And)], &[]),
             2 => (
