@@ -147,7 +147,12 @@ impl UrArm {
         DeviceError::OutOfRange { device: self.name(), field: field.into(), found, expected }
     }
 
-    pub(crate) fn out_of_range(&self, field: &'static str, found: impl ToString, expected: &str) -> DeviceError {
+    pub(crate) fn out_of_range(
+        &self,
+        field: &'static str,
+        found: impl ToString,
+        expected: &str,
+    ) -> DeviceError {
         self.refused(Refusal { field, found: found.to_string(), expected: expected.into() })
     }
 
@@ -156,7 +161,7 @@ impl UrArm {
         let mut status = self.shared.status.subscribe();
         loop {
             let why = match &*status.borrow_and_update() {
-                Status::Up(state, _) => return Ok(state.clone()),
+                Status::Up(state) => return Ok(state.clone()),
                 Status::Down(why) => why.clone(),
             };
             match tokio::time::timeout_at(call.until, status.changed()).await {
@@ -176,8 +181,8 @@ impl UrArm {
         let mut status = self.shared.status.subscribe();
         loop {
             match &*status.borrow_and_update() {
-                Status::Up(state, _) if good(state) => return Ok(state.clone()),
-                Status::Up(..) => {}
+                Status::Up(state) if good(state) => return Ok(state.clone()),
+                Status::Up(_) => {}
                 Status::Down(why) => return Err(self.disconnected(why.clone())),
             }
             match tokio::time::timeout_at(until, status.changed()).await {
@@ -245,8 +250,7 @@ impl UrArm {
                 Ok(())
             }
             Err(DeviceError::Timeout { .. }) => {
-                let words: Vec<String> =
-                    self.shared.words().iter().take(3).cloned().collect();
+                let words: Vec<String> = self.shared.words().iter().take(3).cloned().collect();
                 let words = if words.is_empty() { "nothing".into() } else { words.join("; ") };
                 let detail = format!(
                     "control script: found output_int_register_28 without its token, expected it running; the \
@@ -288,7 +292,7 @@ impl UrArm {
         let mut taken = false;
         loop {
             let state = match &*status.borrow_and_update() {
-                Status::Up(state, _) => state.clone(),
+                Status::Up(state) => state.clone(),
                 Status::Down(why) => return Err(self.disconnected(why.clone())),
             };
             let mailbox = state.mailbox;
@@ -304,11 +308,14 @@ impl UrArm {
                 return Err(error);
             }
             if mailbox.ended == 1 {
-                return Err(self.disconnected("the control script stopped the arm: no heartbeat came in time"));
+                return Err(
+                    self.disconnected("the control script stopped the arm: no heartbeat came in time")
+                );
             }
             if taken && !state.program_running {
                 let words = self.shared.words().back().cloned().unwrap_or_else(|| "nothing".into());
-                let detail = format!("the control script ended in the middle of a motion; last words: {words}");
+                let detail =
+                    format!("the control script ended in the middle of a motion; last words: {words}");
                 return Err(self.fault(FaultKind::Other, detail));
             }
             if !taken && given.elapsed() > TAKEN {
@@ -543,6 +550,30 @@ impl UrArm {
         }
     }
 
+    /// Ends the control script, if it runs: the arm is left as it stands, with the tool centre point that was set
+    /// before. The next motion uploads it again.
+    ///
+    /// # Errors
+    /// [`DeviceError::Timeout`], [`DeviceError::Disconnected`].
+    pub async fn release(&self, timeout: Duration) -> Result<(), DeviceError> {
+        let call = Call::new("release", timeout);
+        let uploaded = tokio::time::timeout_at(call.until, self.uploaded.lock());
+        let uploaded = uploaded.await.map_err(|_| self.timed_out(call))?;
+        let state = self.fresh(call).await?;
+        if !uploaded.runs(&state) {
+            return Ok(());
+        }
+        let (written, heard) = oneshot::channel();
+        let number = self.shared.next_number();
+        let order = Order::Command { number, command: Command::new(CommandKind::End), written };
+        self.orders.send(order).map_err(|_| self.disconnected("the link's task ended"))?;
+        match tokio::time::timeout_at(call.until, heard).await {
+            Ok(Ok(())) => self.wait_for(call, call.until, |s| !s.program_running).await.map(|_| ()),
+            Ok(Err(_)) => Err(self.disconnected("the link broke before the command was sent")),
+            Err(_) => Err(self.timed_out(call)),
+        }
+    }
+
     async fn unlock(&self, call: Call) -> Result<(), DeviceError> {
         if !self.config().unlock_protective_stop {
             let detail = "protective stop: a person inspects the cause and unlocks it on the pendant (or \
@@ -611,8 +642,7 @@ impl Arm for UrArm {
         let goal = self.in_base(world_from_flange)?;
         let state = self.fresh(call).await?;
         self.admit(&state)?;
-        let planned =
-            joint_motion(&self.kinematics, &self.world_from_base, &state.joints, &goal, allowed);
+        let planned = joint_motion(&self.kinematics, &self.world_from_base, &state.joints, &goal, allowed);
         let (near, pace) = planned.map_err(|r| self.refused(r))?;
         let mut command = self.paced(CommandKind::Pose, pace, pose_to(&goal));
         command.near = near;

@@ -81,9 +81,9 @@ impl Dashboard {
             stream.write_all(format!("{command}\n").as_bytes()).await.map_err(link)?;
             self.line(&mut stream).await
         };
-        let answer = tokio::time::timeout(self.timeout, exchange).await.map_err(|_| {
-            DashboardError::Timeout { command: command.to_owned(), after: self.timeout }
-        })??;
+        let answer = tokio::time::timeout(self.timeout, exchange)
+            .await
+            .map_err(|_| DashboardError::Timeout { command: command.to_owned(), after: self.timeout })??;
         tracing::info!(command, answer, host = self.host, "dashboard");
         Ok(answer)
     }

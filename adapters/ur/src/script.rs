@@ -118,8 +118,7 @@ impl Command {
 
     /// Values of [`COMMAND_FIELDS`].
     pub(crate) fn values(&self, number: i32) -> Vec<Value> {
-        let rest =
-            [self.speed, self.acceleration, self.time_s, self.force_n, self.lookahead_s, self.gain];
+        let rest = [self.speed, self.acceleration, self.time_s, self.force_n, self.lookahead_s, self.gain];
         let doubles = self.target.iter().chain(&self.near).chain(&rest);
         let mut values: Vec<Value> = doubles.map(|v| Value::Double(*v)).collect();
         values.extend([Value::Int32(self.kind as i32), Value::Int32(number)]);

@@ -39,6 +39,8 @@ pub struct ServoStream<'a> {
     joints: Joints,
     flange: Isometry3<f64>,
     sent: Instant,
+    /// Time that is saved up for the next targets, seconds.
+    saved_s: f64,
 }
 
 impl std::fmt::Debug for ServoStream<'_> {
@@ -47,10 +49,11 @@ impl std::fmt::Debug for ServoStream<'_> {
     }
 }
 
-/// Targets that come faster than this are taken to come as fast as this.
-const FASTEST: Duration = Duration::from_millis(2);
-/// A gap between targets counts as no more than this: an arm that waited does not jump after.
-const LONGEST_GAP: Duration = Duration::from_millis(50);
+/// Time that targets may be ahead of their speed: they come unevenly, and the controller smooths them. A stream that
+/// waited longer has saved up no more than this, so that the arm does not jump after.
+const MOST_AHEAD_S: f64 = 0.05;
+/// The same at the start, for the first target.
+const FIRST_AHEAD_S: f64 = 0.02;
 
 impl UrArm {
     /// Begins a stream of joint targets.
@@ -88,10 +91,9 @@ impl UrArm {
         timeout: Duration,
     ) -> Result<ServoStream<'_>, DeviceError> {
         let call = Call::new(operation, timeout);
-        for (field, value, (least, most)) in [
-            ("lookahead_s", settings.lookahead_s, (0.03, 0.2)),
-            ("gain", settings.gain, (100.0, 2000.0)),
-        ] {
+        for (field, value, (least, most)) in
+            [("lookahead_s", settings.lookahead_s, (0.03, 0.2)), ("gain", settings.gain, (100.0, 2000.0))]
+        {
             if !(value >= least && value <= most) {
                 return Err(self.out_of_range(field, value, &format!("{least} to {most}")));
             }
@@ -109,20 +111,43 @@ impl UrArm {
         let number = guard.number.unwrap_or(0);
         let flange = self.flange(&state);
         let sent = Instant::now();
-        Ok(ServoStream { arm: self, call, guard, number, limits, joints: state.joints, flange, sent })
+        Ok(ServoStream {
+            arm: self,
+            call,
+            guard,
+            number,
+            limits,
+            joints: state.joints,
+            flange,
+            sent,
+            saved_s: FIRST_AHEAD_S,
+        })
     }
 }
 
 impl ServoStream<'_> {
-    /// Time since the last target, as far as it counts for speed.
-    fn gap(&self) -> f64 {
-        self.sent.elapsed().clamp(FASTEST, LONGEST_GAP).as_secs_f64()
+    /// Takes the time that a target needs at its allowed speeds; each is what, how far, how fast at most.
+    fn spend(&mut self, field: &'static str, ways: &[(&str, f64, f64)]) -> Result<(), DeviceError> {
+        let saved = (self.saved_s + self.sent.elapsed().as_secs_f64()).min(MOST_AHEAD_S);
+        let mut most: f64 = 0.0;
+        for (what, way, speed) in ways {
+            let needed = way / speed;
+            if needed.is_nan() || needed > saved {
+                let found = format!("{way:.4} {what} within {saved:.3} s");
+                let expected = format!("at most {speed} {what} a second");
+                return Err(self.arm.out_of_range(field, found, &expected));
+            }
+            most = most.max(needed);
+        }
+        self.saved_s = saved - most;
+        self.sent = Instant::now();
+        Ok(())
     }
 
     /// Why the stream has ended, if it has.
     fn ended(&self) -> Option<DeviceError> {
         let state = match &*self.arm.shared.status.borrow() {
-            Status::Up(state, _) => state.clone(),
+            Status::Up(state) => state.clone(),
             Status::Down(why) => {
                 let (device, detail) = (self.arm.name(), why.clone());
                 return Some(DeviceError::Disconnected { device, detail });
@@ -163,22 +188,18 @@ impl ServoStream<'_> {
         if let Some(error) = self.ended() {
             return Err(error);
         }
-        let limits = &self.arm.config().limits;
+        let limits = self.arm.config().limits;
         if let Some(joint) = self.arm.kinematics.limits().first_outside(target) {
             return Err(self.arm.out_of_range("joints", target[joint], "within the joint's limits"));
         }
-        let speed = joint_distance(target, &self.joints) / self.gap();
-        if speed > limits.joint_speed_rad_s {
-            let expected = format!("a joint speed of at most {} rad/s", limits.joint_speed_rad_s);
-            return Err(self.arm.out_of_range("joints", format!("{speed:.2} rad/s"), &expected));
-        }
         let flange = self.arm.kinematics.forward(target);
         self.inside(&flange)?;
-        let pace = (flange.translation.vector - self.flange.translation.vector).norm() / self.gap();
-        if pace > self.limits.speed_m_s {
-            let expected = format!("a speed of at most {} m/s", self.limits.speed_m_s);
-            return Err(self.arm.out_of_range("joints", format!("{pace:.3} m/s"), &expected));
-        }
+        let way = (flange.translation.vector - self.flange.translation.vector).norm();
+        let ways = [
+            ("rad of a joint", joint_distance(target, &self.joints), limits.joint_speed_rad_s),
+            ("m", way, self.limits.speed_m_s),
+        ];
+        self.spend("joints", &ways)?;
         (self.joints, self.flange) = (*target, flange);
         self.emit(*target)
     }
@@ -191,27 +212,19 @@ impl ServoStream<'_> {
         if let Some(error) = self.ended() {
             return Err(error);
         }
-        let limits = &self.arm.config().limits;
+        let limits = self.arm.config().limits;
         let target = self.arm.world_from_base.inverse() * world_from_flange;
         let Some(joints) = self.arm.kinematics.closest(&target, &self.joints) else {
             return Err(self.arm.out_of_range("world_from_flange", target, "a pose that the arm reaches"));
         };
         self.inside(&target)?;
-        let gap = self.gap();
-        let pace = (target.translation.vector - self.flange.translation.vector).norm() / gap;
-        let turn = target.rotation.angle_to(&self.flange.rotation) / gap;
-        let joint_speed = joint_distance(&joints, &self.joints) / gap;
-        for (what, found, most) in [
-            ("m/s", pace, self.limits.speed_m_s),
-            ("rad/s of the flange", turn, limits.turn_rad_s),
-            ("rad/s of a joint", joint_speed, limits.joint_speed_rad_s),
-        ] {
-            if found > most {
-                let expected = format!("at most {most} {what}");
-                let found = format!("{found:.3} {what}");
-                return Err(self.arm.out_of_range("world_from_flange", found, &expected));
-            }
-        }
+        let way = (target.translation.vector - self.flange.translation.vector).norm();
+        let ways = [
+            ("m", way, self.limits.speed_m_s),
+            ("rad of the flange", target.rotation.angle_to(&self.flange.rotation), limits.turn_rad_s),
+            ("rad of a joint", joint_distance(&joints, &self.joints), limits.joint_speed_rad_s),
+        ];
+        self.spend("world_from_flange", &ways)?;
         (self.joints, self.flange) = (joints, target);
         self.emit(pose_to(&target))
     }
@@ -227,7 +240,6 @@ impl ServoStream<'_> {
     }
 
     fn emit(&mut self, target: [f64; 6]) -> Result<(), DeviceError> {
-        self.sent = Instant::now();
         let order = Order::Target { number: self.number, target };
         self.arm.orders.send(order).map_err(|_| DeviceError::Disconnected {
             device: self.arm.name(),

@@ -19,8 +19,8 @@ use crate::state::RobotState;
 pub(crate) enum Status {
     /// No link; why.
     Down(String),
-    /// A frame, and when it came.
-    Up(Arc<RobotState>, Instant),
+    /// A frame.
+    Up(Arc<RobotState>),
 }
 
 /// What the task is asked to send.
@@ -109,7 +109,7 @@ pub(crate) async fn run(shared: Arc<Shared>, mut orders: mpsc::UnboundedReceiver
             Err(error) => error.to_string(),
         };
         tracing::warn!(arm = config.name, why, "no link to the controller");
-        let was_up = matches!(*shared.status.borrow(), Status::Up(..));
+        let was_up = matches!(*shared.status.borrow(), Status::Up(_));
         shared.status.send_replace(Status::Down(why.clone()));
         if was_up {
             shared.tell(UrEvent::Disconnected { why });
@@ -138,7 +138,9 @@ fn most_hz(version: Version) -> f64 {
 async fn connect(config: &UrConfig) -> Result<Ready, RtdeError> {
     let limit = Duration::from_secs_f64(config.connect_timeout_s);
     let address = (config.host.as_str(), config.ports.rtde);
-    let late = |step: &str| RtdeError::Link(format!("{}:{}: {step}: no answer within {limit:?}", address.0, address.1));
+    let late = |step: &str| {
+        RtdeError::Link(format!("{}:{}: {step}: no answer within {limit:?}", address.0, address.1))
+    };
     let connecting = tokio::time::timeout(limit, RtdeLink::connect(address)).await;
     let mut link = connecting.map_err(|_| late("connect"))?.map_err(|e| match e {
         RtdeError::Link(why) => RtdeError::Link(format!("{}:{}: {why}", address.0, address.1)),
@@ -262,11 +264,9 @@ async fn carry_out(
 }
 
 fn publish(shared: &Shared, state: RobotState) {
-    let before = shared.status.send_replace(Status::Up(Arc::new(state.clone()), Instant::now()));
+    let before = shared.status.send_replace(Status::Up(Arc::new(state.clone())));
     let (safety, mode, running) = match &before {
-        Status::Up(before, _) => {
-            (Some(before.safety), Some(before.robot_mode), Some(before.program_running))
-        }
+        Status::Up(before) => (Some(before.safety), Some(before.robot_mode), Some(before.program_running)),
         Status::Down(_) => (None, None, None),
     };
     if safety != Some(state.safety) {

@@ -75,10 +75,8 @@ async fn listen(shared: Arc<Shared>, mut stream: TcpStream) {
         match reader.push(&buffer[..count]) {
             Ok(messages) => {
                 for message in messages {
-                    let bad = matches!(
-                        message,
-                        PrimaryMessage::Error { .. } | PrimaryMessage::Exception { .. }
-                    );
+                    let bad =
+                        matches!(message, PrimaryMessage::Error { .. } | PrimaryMessage::Exception { .. });
                     tracing::debug!(%message, "controller");
                     if bad {
                         let mut words = shared.words();

@@ -241,11 +241,7 @@ mod tests {
 
     #[test]
     fn the_published_data_package_is_read() {
-        let fields = [
-            ("timestamp", Kind::Double),
-            ("actual_q", Kind::Vector6d),
-            ("robot_mode", Kind::Int32),
-        ];
+        let fields = [("timestamp", Kind::Double), ("actual_q", Kind::Vector6d), ("robot_mode", Kind::Int32)];
         let recipe = Recipe { id: 1, fields: fields.map(|(n, k)| (n.to_owned(), k)).to_vec() };
         let mut bytes = vec![0x3f, 0xf8, 0, 0, 0, 0, 0, 0];
         (1..=6).for_each(|i| bytes.extend(f64::from(i).to_be_bytes()));

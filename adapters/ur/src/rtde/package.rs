@@ -126,17 +126,23 @@ impl Package {
             b'M' => {
                 let message = text_message(payload);
                 let expected = "length, text, length, source, level";
-                Self::Text(message.ok_or_else(|| {
-                    malformed("text message", format!("{} bytes", payload.len()), expected)
-                })?)
+                Self::Text(
+                    message.ok_or_else(|| {
+                        malformed("text message", format!("{} bytes", payload.len()), expected)
+                    })?,
+                )
             }
             b'U' => {
                 let (recipe, bytes) =
                     payload.split_first().ok_or_else(|| malformed("data", "0 bytes", "a recipe"))?;
                 Self::Data { recipe: *recipe, bytes: bytes.to_vec() }
             }
-            b'O' => recipe("reply to outputs", payload).map(|(recipe, types)| Self::Outputs { recipe, types })?,
-            b'I' => recipe("reply to inputs", payload).map(|(recipe, types)| Self::Inputs { recipe, types })?,
+            b'O' => {
+                recipe("reply to outputs", payload).map(|(recipe, types)| Self::Outputs { recipe, types })?
+            }
+            b'I' => {
+                recipe("reply to inputs", payload).map(|(recipe, types)| Self::Inputs { recipe, types })?
+            }
             b'S' => Self::Start(accepted("reply to start", payload)?),
             b'P' => Self::Pause(accepted("reply to pause", payload)?),
             other => return Err(malformed("type", other, "one of V v M U O I S P")),
@@ -230,11 +236,8 @@ mod tests {
         Value::Double(0.5).write(&mut data);
         let expected = [0x00, 0x10, 0x55, 0x01, 0, 0, 0, 1, 0x3f, 0xe0, 0, 0, 0, 0, 0, 0];
         assert_eq!(encode(b'U', &data).unwrap(), expected);
-        let text = Package::Text(TextMessage {
-            text: "hi".into(),
-            source: "RTD".into(),
-            level: TextLevel::Warning,
-        });
+        let text =
+            Package::Text(TextMessage { text: "hi".into(), source: "RTD".into(), level: TextLevel::Warning });
         let bytes = [0x00, 0x0b, 0x4d, 2, b'h', b'i', 3, b'R', b'T', b'D', 2];
         assert_eq!(read(&bytes).unwrap(), Some(text));
     }

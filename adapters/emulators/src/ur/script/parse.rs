@@ -281,6 +281,10 @@ impl Parser {
         if level == 5 {
             return self.unary();
         }
+        if level == 2 && self.take_name("not") {
+            // Of a whole comparison.
+            return Ok(Expr::Not(Box::new(self.deeper(|parser| parser.binary(2))?)));
+        }
         let mut left = self.binary(level + 1)?;
         // Chains of operators are left-deep trees: their length is bounded like nesting.
         let mut length = 0;
@@ -297,9 +301,6 @@ impl Parser {
     }
 
     fn unary(&mut self) -> Result<Expr, ScriptError> {
-        if self.take_name("not") {
-            return Ok(Expr::Not(Box::new(self.deeper(Self::unary)?)));
-        }
         if self.take_sign("-") {
             return Ok(Expr::Negative(Box::new(self.deeper(Self::unary)?)));
         }
