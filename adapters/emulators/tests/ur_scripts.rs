@@ -90,7 +90,7 @@ async fn mistakes_are_told_on_the_primary_interface() {
         ("def f():\n  x = [1][5]\nend\n", "no item 5"),
         ("def f():\n  def g():\n    g()\n  end\n  g()\nend\n", "calls nest too deep"),
         ("sec f():\n  movej([0, 0, 0, 0, 0, 0])\nend\n", "a secondary program may not move"),
-        ("movel(p[9, 0, 0, 0, 0, 0])\n", "no inverse kinematics on the line"),
+        ("movel(p[9, 0, 0, 0, 0, 0], a=5, v=2)\n", "a joint faster than it may be"),
     ] {
         let mut stream = send(&emulator, script).await;
         hears(&mut stream, words).await;

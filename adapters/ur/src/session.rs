@@ -184,6 +184,9 @@ async fn drive(
     clock.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut heard = Instant::now();
     let mut targets = 0;
+    // Whoever waited for a motion was told that the link broke. A link that is back before the script misses its
+    // heartbeat must not let that motion go on.
+    carry_out(shared, &mut ready, Order::Stop { only: None, written: None }, &mut targets).await?;
     loop {
         tokio::select! {
             package = tokio::time::timeout_at(heard + silence, ready.link.next()) => {

@@ -167,6 +167,21 @@ async fn a_link_that_is_cut_in_a_motion_stops_the_arm_and_comes_back() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_link_that_is_back_at_once_does_not_let_the_motion_go_on() {
+    // A heartbeat that is missed so late that it does not stop the arm here.
+    let bench = bench_with(settings(), None, |config| config.heartbeat.timeout_s = 1.0).await;
+    let (motion, goal) = moving(&bench).await;
+    bench.emulator.faults().rtde.cut();
+    let error = ended(motion).await;
+    assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
+    let cut = Instant::now();
+    bench.until("stands", |b| !b.moves()).await;
+    assert!(cut.elapsed() < Duration::from_millis(900), "{:?}", cut.elapsed());
+    assert!(apart(&bench.flange(), &goal) > 0.03);
+    works(&bench).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_heartbeat_that_is_lost_stops_the_arm() {
     let bench = bench_with(settings(), None, |config| config.heartbeat.timeout_s = 0.2).await;
     bench.arm.state(SOON).await.unwrap();
