@@ -290,3 +290,42 @@ impl UrConfig {
         Isometry3::from_parts(Translation3::new(x, y, z), turn)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_example_shows_the_defaults() {
+        let example: UrConfig = toml::from_str(include_str!("../examples/ur5e.toml")).unwrap();
+        example.check().unwrap();
+        assert!(!example.armed && !example.unlock_protective_stop && !example.power_up);
+        let expected =
+            UrConfig { host: example.host.clone(), payload: example.payload, ..UrConfig::default() };
+        assert_eq!(example, expected);
+        let written = toml::to_string(&example).unwrap();
+        assert_eq!(toml::from_str::<UrConfig>(&written).unwrap(), example);
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_by_its_field() {
+        for (text, expected) in [
+            ("", "host: found \"\", expected the controller's address"),
+            (
+                "host = 'h'\n[limits]\nspeed_m_s = 9.0",
+                "limits.speed_m_s: found 9, expected above 0, at most 3",
+            ),
+            ("host = 'h'\n[limits]\nforce_n = nan", "limits.force_n: found NaN"),
+            ("host = 'h'\n[heartbeat]\nperiod_s = 0.1", "heartbeat.timeout_s: found 0.2, expected at least"),
+            ("host = 'h'\n[limits.workspace]\nlower_m = [2.0, 0.0, 0.0]", "limits.workspace: found"),
+            ("host = 'h'\nfrequency_hz = 1000.0", "frequency_hz: found 1000"),
+            ("host = 'h'\n[world_from_base]\norientation = [0.0, 0.0, 0.0, 2.0]", "world_from_base: found"),
+            ("host = 'h'\n[payload]\nmass_kg = -1.0\ncenter_m = [0.0, 0.0, 0.0]", "payload: found"),
+        ] {
+            let error = toml::from_str::<UrConfig>(text).unwrap().check().unwrap_err().to_string();
+            assert!(error.starts_with(expected), "{error}");
+        }
+        let unknown = toml::from_str::<UrConfig>("host = 'h'\nspeed = 1").unwrap_err();
+        assert!(unknown.to_string().contains("unknown field `speed`"), "{unknown}");
+    }
+}
