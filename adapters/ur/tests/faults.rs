@@ -233,7 +233,7 @@ async fn a_heartbeat_that_is_lost_stops_the_arm() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn packets_in_pieces_are_no_fault() {
     let bench = bench_with(settings(), None, |config| config.frequency_hz = 50.0).await;
-    let pieces = misbehave(|m| m.pieces = Some((7, Duration::from_micros(50))));
+    let pieces = misbehave(|m| m.pieces = Some((29, Duration::from_micros(50))));
     bench.emulator.faults().rtde.set(pieces.clone());
     bench.emulator.faults().dashboard.set(pieces.clone());
     bench.emulator.faults().scripts.set(pieces);

@@ -15,7 +15,7 @@ use crate::session::{Order, Status};
 use crate::state::{RobotState, pose_to};
 
 /// A command that the script does not take within this time will not be taken.
-const TAKEN: Duration = Duration::from_secs(1);
+const TAKEN: Duration = Duration::from_secs(2);
 /// Added to the time of braking: what messages need on their way.
 const GRACE: Duration = Duration::from_millis(150);
 

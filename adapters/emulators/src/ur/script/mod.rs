@@ -2,6 +2,7 @@
 
 mod ast;
 mod builtin;
+mod eval;
 mod parse;
 mod run;
 mod token;

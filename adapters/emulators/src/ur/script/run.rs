@@ -7,16 +7,15 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, Waker};
 
-use super::ast::{Block, Expr, Function, Kind, Operator, Scope};
-use super::builtin::{Arguments, call_builtin};
+use super::ast::{Function, Kind};
+use super::eval::Frame;
 use super::value::Value;
 use crate::ur::robot::Robot;
 
 /// Turns of loops and calls of functions in one control step, after which a script counts as hung.
-const BUDGET: u32 = 200_000;
-/// Calls nest at most so deep, and threads are at most so many.
-const DEEPEST: u32 = 40;
-const MOST_THREADS: usize = 50;
+pub(super) const BUDGET: u32 = 200_000;
+/// Threads are at most so many.
+pub(super) const MOST_THREADS: usize = 50;
 
 /// Why a thread ends early.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,36 +26,35 @@ pub(crate) enum Ended {
     Halt,
 }
 
-type Job = Pin<Box<dyn Future<Output = Result<(), Ended>> + Send>>;
-type Boxed<'a, T> = Pin<Box<dyn Future<Output = Result<T, Ended>> + Send + 'a>>;
+pub(super) type Job = Pin<Box<dyn Future<Output = Result<(), Ended>> + Send>>;
 
 /// What all threads of a program share.
 pub(crate) struct Shared {
     robot: Arc<Mutex<Robot>>,
-    variables: Mutex<Variables>,
-    threads: Mutex<Threads>,
-    budget: AtomicU32,
+    pub(super) variables: Mutex<Variables>,
+    pub(super) threads: Mutex<Threads>,
+    pub(super) budget: AtomicU32,
     /// True for a secondary program: it may not move.
     pub(crate) secondary: bool,
 }
 
 #[derive(Default)]
-struct Variables {
-    globals: HashMap<String, Value>,
+pub(super) struct Variables {
+    pub(super) globals: HashMap<String, Value>,
     /// Those of the program's own body.
-    program: HashMap<String, Value>,
-    functions: HashMap<String, Arc<Function>>,
+    pub(super) program: HashMap<String, Value>,
+    pub(super) functions: HashMap<String, Arc<Function>>,
 }
 
 #[derive(Default)]
-struct Threads {
-    started: Vec<(u32, Job)>,
-    alive: HashSet<u32>,
-    killed: HashSet<u32>,
-    next: u32,
+pub(super) struct Threads {
+    pub(super) started: Vec<(u32, Job)>,
+    pub(super) alive: HashSet<u32>,
+    pub(super) killed: HashSet<u32>,
+    pub(super) next: u32,
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -112,8 +110,8 @@ impl Program {
         }
         let theirs = shared.clone();
         let main: Job = Box::pin(async move {
-            let mut frame = Frame { shared: &theirs, locals: HashMap::new(), main: true, depth: 0 };
-            frame.block(&program.body).await.map(|_| ())
+            let mut frame = Frame::of_program(&theirs);
+            frame.whole(&program.body).await
         });
         Self { name, shared, threads: vec![(0, main)] }
     }
@@ -151,353 +149,71 @@ impl Program {
     }
 }
 
-pub(crate) enum Flow {
-    On,
-    Break,
-    Continue,
-    Return(Value),
-}
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
 
-/// A function's run.
-pub(crate) struct Frame<'s> {
-    shared: &'s Arc<Shared>,
-    locals: HashMap<String, Value>,
-    main: bool,
-    depth: u32,
-}
+    use super::*;
+    use crate::ur::plant::{JointServo, home};
+    use crate::ur::script::parse;
+    use crate::ur::settings::UrSettings;
+    use proptest::prelude::*;
 
-fn wrong<T>(line: u32, what: impl Into<String>) -> Result<T, Ended> {
-    Err(Ended::Error { line, what: what.into() })
-}
-
-impl<'s> Frame<'s> {
-    fn spend(&self, line: u32) -> Result<(), Ended> {
-        if self.shared.budget.fetch_add(1, Ordering::Relaxed) > BUDGET {
-            return wrong(line, "infinite loop: nothing in it takes time");
-        }
-        Ok(())
+    fn robot() -> Arc<Mutex<Robot>> {
+        let settings = UrSettings::default();
+        let q = home(settings.model);
+        Arc::new(Mutex::new(Robot::new(&settings, q, Box::new(JointServo::new(q)))))
     }
 
-    fn block<'a>(&'a mut self, block: &'a Block) -> Boxed<'a, Flow> {
-        Box::pin(async move {
-            for statement in block {
-                match self.statement(statement.line, &statement.kind).await? {
-                    Flow::On => {}
-                    other => return Ok(other),
-                }
-            }
-            Ok(Flow::On)
-        })
-    }
-
-    async fn statement(&mut self, line: u32, kind: &Kind) -> Result<Flow, Ended> {
-        match kind {
-            Kind::Assign { scope, name, index, value } => {
-                let value = self.eval(line, value).await?;
-                match index {
-                    None => self.assign(*scope, name, value),
-                    Some(index) => {
-                        let index = self.eval(line, index).await?;
-                        self.assign_item(line, name, &index, value)?;
-                    }
-                }
-            }
-            Kind::Define(function) => {
-                let mut variables = locked(&self.shared.variables);
-                variables.functions.insert(function.name.clone(), function.clone());
-            }
-            Kind::If { arms, otherwise } => {
-                for (condition, body) in arms {
-                    if self.condition(line, condition).await? {
-                        return self.block(body).await;
-                    }
-                }
-                return self.block(otherwise).await;
-            }
-            Kind::While { condition, body } => {
-                while self.condition(line, condition).await? {
-                    self.spend(line)?;
-                    match self.block(body).await? {
-                        Flow::On | Flow::Continue => {}
-                        Flow::Break => break,
-                        Flow::Return(value) => return Ok(Flow::Return(value)),
-                    }
-                }
-            }
-            Kind::Return(None) => return Ok(Flow::Return(Value::None)),
-            Kind::Return(Some(value)) => return Ok(Flow::Return(self.eval(line, value).await?)),
-            Kind::Break => return Ok(Flow::Break),
-            Kind::Continue => return Ok(Flow::Continue),
-            Kind::Halt => return Err(Ended::Halt),
-            Kind::Kill(thread) => match self.eval(line, thread).await? {
-                Value::Thread(id) => {
-                    let mut threads = locked(&self.shared.threads);
-                    threads.killed.insert(id);
-                    threads.alive.remove(&id);
-                }
-                // What never ran has nothing to kill: scripts keep 0 where there is no thread.
-                Value::Int(_) => {}
-                other => return wrong(line, format!("kill: found {}, expected a thread", other.kind())),
-            },
-            Kind::Join(thread) => match self.eval(line, thread).await? {
-                Value::Thread(id) => {
-                    while locked(&self.shared.threads).alive.contains(&id) {
-                        next_step().await;
-                    }
-                }
-                other => return wrong(line, format!("join: found {}, expected a thread", other.kind())),
-            },
-            Kind::Expr(expr) => {
-                self.eval(line, expr).await?;
-            }
-            Kind::Nothing => {}
-        }
-        Ok(Flow::On)
-    }
-
-    async fn condition(&mut self, line: u32, condition: &Expr) -> Result<bool, Ended> {
-        let value = self.eval(line, condition).await?;
-        value.truth().or_else(|what| wrong(line, format!("condition: {what}")))
-    }
-
-    fn assign(&mut self, scope: Scope, name: &str, value: Value) {
-        let mut variables = locked(&self.shared.variables);
-        let is_local = self.locals.contains_key(name);
-        if scope == Scope::Global
-            || (scope == Scope::Nearest && !is_local && variables.globals.contains_key(name))
-        {
-            variables.globals.insert(name.to_owned(), value);
-        } else if self.main {
-            variables.program.insert(name.to_owned(), value);
-        } else {
-            self.locals.insert(name.to_owned(), value);
-        }
-    }
-
-    fn assign_item(&mut self, line: u32, name: &str, index: &Value, value: Value) -> Result<(), Ended> {
-        let mut variables = locked(&self.shared.variables);
-        let Variables { globals, program, .. } = &mut *variables;
-        let locals = &mut self.locals;
-        let held = locals.get_mut(name).or_else(|| globals.get_mut(name)).or_else(|| program.get_mut(name));
-        let Some(list) = held else { return wrong(line, format!("{name} is not defined")) };
-        let set = move || -> Result<(), String> {
-            let index = usize::try_from(index.whole()?).map_err(|_| "a negative index".to_owned())?;
-            match list {
-                Value::Pose(pose) => {
-                    *pose.get_mut(index).ok_or_else(|| format!("index {index} of a pose"))? =
-                        value.number()?;
-                }
-                Value::List(items) => {
-                    let length = items.len();
-                    *items.get_mut(index).ok_or_else(|| format!("index {index} of {length} items"))? = value;
-                }
-                other => return Err(format!("found {}, expected a list", other.kind())),
-            }
-            Ok(())
-        };
-        set().or_else(|what| wrong(line, format!("{name}[..]: {what}")))
-    }
-
-    fn lookup(&self, line: u32, name: &str) -> Result<Value, Ended> {
-        if let Some(value) = self.locals.get(name) {
-            return Ok(value.clone());
-        }
-        let variables = locked(&self.shared.variables);
-        match variables.globals.get(name).or_else(|| variables.program.get(name)) {
-            Some(value) => Ok(value.clone()),
-            None => wrong(line, format!("{name} is not defined")),
-        }
-    }
-
-    fn eval<'a>(&'a mut self, line: u32, expr: &'a Expr) -> Boxed<'a, Value> {
-        Box::pin(async move {
-            Ok(match expr {
-                Expr::Bool(value) => Value::Bool(*value),
-                Expr::Int(value) => Value::Int(*value),
-                Expr::Float(value) => Value::Float(*value),
-                Expr::Text(value) => Value::Text(value.clone()),
-                Expr::Name(name) => self.lookup(line, name)?,
-                Expr::List(items) => {
-                    let mut values = Vec::with_capacity(items.len());
-                    for item in items {
-                        values.push(self.eval(line, item).await?);
-                    }
-                    Value::List(values)
-                }
-                Expr::Pose(items) => {
-                    let mut pose = [0.0; 6];
-                    for (to, item) in pose.iter_mut().zip(items) {
-                        let value = self.eval(line, item).await?;
-                        *to = value.number().or_else(|what| wrong(line, format!("pose: {what}")))?;
-                    }
-                    Value::Pose(pose)
-                }
-                Expr::Index(list, index) => {
-                    let list = self.eval(line, list).await?;
-                    let index = self.eval(line, index).await?;
-                    let index = index.whole().or_else(|what| wrong(line, format!("index: {what}")))?;
-                    let item = usize::try_from(index).ok().and_then(|i| match &list {
-                        Value::List(items) => items.get(i).cloned(),
-                        Value::Pose(pose) => pose.get(i).map(|v| Value::Float(*v)),
-                        _ => None,
-                    });
-                    match item {
-                        Some(item) => item,
-                        None => return wrong(line, format!("no item {index} in {}", list.kind())),
-                    }
-                }
-                Expr::Not(value) => {
-                    let value = self.eval(line, value).await?;
-                    Value::Bool(!value.truth().or_else(|what| wrong(line, format!("not: {what}")))?)
-                }
-                Expr::Negative(value) => match self.eval(line, value).await? {
-                    Value::Int(value) => Value::Int(value.wrapping_neg()),
-                    Value::Float(value) => Value::Float(-value),
-                    other => return wrong(line, format!("-: found {}, expected a number", other.kind())),
-                },
-                Expr::Binary(operator, left, right) => {
-                    let left = self.eval(line, left).await?;
-                    // `and` and `or` look at the right side only where it matters.
-                    match (operator, &left) {
-                        (Operator::And, Value::Bool(false)) => return Ok(Value::Bool(false)),
-                        (Operator::Or, Value::Bool(true)) => return Ok(Value::Bool(true)),
-                        _ => {}
-                    }
-                    let right = self.eval(line, right).await?;
-                    combine(*operator, &left, &right).or_else(|what| wrong(line, what))?
-                }
-                Expr::Run { name, arguments } => {
-                    let arguments = self.arguments(line, arguments).await?;
-                    self.run(line, name, arguments)?
-                }
-                Expr::Call { name, arguments } => {
-                    let arguments = self.arguments(line, arguments).await?;
-                    self.spend(line)?;
-                    let function = locked(&self.shared.variables).functions.get(name).cloned();
-                    match function {
-                        Some(function) => {
-                            let depth = self.depth + 1;
-                            call(self.shared, line, &function, arguments, depth).await?
-                        }
-                        None => {
-                            let done = call_builtin(self.shared, name, &arguments).await;
-                            done.or_else(|what| wrong(line, format!("{name}: {what}")))?
-                        }
-                    }
-                }
-            })
-        })
-    }
-
-    async fn arguments(
-        &mut self,
-        line: u32,
-        arguments: &[(Option<String>, Expr)],
-    ) -> Result<Arguments, Ended> {
-        let mut out = Arguments::default();
-        for (name, expr) in arguments {
-            let value = self.eval(line, expr).await?;
-            match name {
-                Some(name) => out.named.push((name.clone(), value)),
-                None => out.placed.push(value),
+    fn ran(text: &str, steps: usize) -> Option<Progress> {
+        let robot = robot();
+        let mut program = Program::start(parse(text).ok()?, robot.clone());
+        for _ in 0..steps {
+            match program.step() {
+                Progress::Goes => locked(&robot).step(),
+                ended => return Some(ended),
             }
         }
-        Ok(out)
+        Some(Progress::Goes)
     }
 
-    fn run(&mut self, line: u32, name: &str, arguments: Arguments) -> Result<Value, Ended> {
-        let function = locked(&self.shared.variables).functions.get(name).cloned();
-        let Some(function) = function else { return wrong(line, format!("{name} is not defined")) };
-        let shared = self.shared.clone();
-        let mut threads = locked(&self.shared.threads);
-        if threads.alive.len() >= MOST_THREADS {
-            return wrong(line, "too many threads");
-        }
-        let id = threads.next;
-        threads.next += 1;
-        threads.alive.insert(id);
-        let job: Job =
-            Box::pin(async move { call(&shared, line, &function, arguments, 1).await.map(|_| ()) });
-        threads.started.push((id, job));
-        Ok(Value::Thread(id))
-    }
-}
-
-/// Calls a function of the script.
-async fn call(
-    shared: &Arc<Shared>,
-    line: u32,
-    function: &Function,
-    arguments: Arguments,
-    depth: u32,
-) -> Result<Value, Ended> {
-    if depth > DEEPEST {
-        return wrong(line, "calls nest too deep");
-    }
-    let mut frame = Frame { shared, locals: HashMap::new(), main: false, depth };
-    for (at, (name, default)) in function.parameters.iter().enumerate() {
-        let value = match (arguments.get(at, name), default) {
-            (Some(value), _) => value.clone(),
-            (None, Some(default)) => frame.eval(line, default).await?,
-            (None, None) => return wrong(line, format!("{}: {name} is missing", function.name)),
-        };
-        frame.locals.insert(name.clone(), value);
-    }
-    Ok(match frame.block(&function.body).await? {
-        Flow::Return(value) => value,
-        Flow::On | Flow::Break | Flow::Continue => Value::None,
-    })
-}
-
-fn combine(operator: Operator, left: &Value, right: &Value) -> Result<Value, String> {
-    use Operator as O;
-    Ok(match operator {
-        O::And => Value::Bool(left.truth()? && right.truth()?),
-        O::Or => Value::Bool(left.truth()? || right.truth()?),
-        O::Xor => Value::Bool(left.truth()? != right.truth()?),
-        O::Equal | O::Different => {
-            let same = match (left, right) {
-                (Value::Int(_) | Value::Float(_), Value::Int(_) | Value::Float(_)) => {
-                    left.number()? == right.number()?
-                }
-                _ => left == right,
-            };
-            Value::Bool(same == (operator == O::Equal))
-        }
-        O::Less => Value::Bool(left.number()? < right.number()?),
-        O::More => Value::Bool(left.number()? > right.number()?),
-        O::AtMost => Value::Bool(left.number()? <= right.number()?),
-        O::AtLeast => Value::Bool(left.number()? >= right.number()?),
-        O::Plus | O::Minus | O::Times | O::By | O::Modulo => arithmetic(operator, left, right)?,
-    })
-}
-
-fn arithmetic(operator: Operator, left: &Value, right: &Value) -> Result<Value, String> {
-    use Operator as O;
-    if let (Value::Text(a), O::Plus) = (left, operator) {
-        return Ok(Value::Text(format!("{a}{}", right.shown())));
-    }
-    if let (Value::Int(a), Value::Int(b)) = (left, right) {
-        let whole = match operator {
-            O::Plus => Some(a.wrapping_add(*b)),
-            O::Minus => Some(a.wrapping_sub(*b)),
-            O::Times => Some(a.wrapping_mul(*b)),
-            O::Modulo => Some(a.checked_rem(*b).ok_or("division by zero")?),
-            _ => None,
-        };
-        if let Some(whole) = whole {
-            return Ok(Value::Int(whole));
+    #[test]
+    fn what_grows_without_end_is_ended() {
+        for (text, expected) in [
+            ("x = \"abc\"\nwhile True:\n x = x + x\nend", "a text that is too long"),
+            ("x = [1]\nwhile True:\n x = [x, x]\nend", "a list that is too long"),
+            ("x = [1, 2]\nwhile True:\n x[0] = x\n x[1] = x\nend", "too long for an item"),
+            ("thread t():\n sleep(9)\nend\nwhile True:\n run t()\nend", "too many threads"),
+        ] {
+            let began = Instant::now();
+            let ended = ran(text, 10);
+            assert!(
+                matches!(&ended, Some(Progress::Failed { what, .. }) if what.contains(expected)),
+                "{ended:?}"
+            );
+            assert!(began.elapsed().as_secs() < 2);
         }
     }
-    let (a, b) = (left.number()?, right.number()?);
-    if matches!(operator, O::By | O::Modulo) && b == 0.0 {
-        return Err("division by zero".into());
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(200))]
+        #[test]
+        fn any_program_of_such_words_ends_or_goes_on(lines in prop::collection::vec(prop::sample::select(vec![
+            "x = [1, 2, 3, 4, 5, 6]", "x = p[0.1, 0.2, 0.3, 0, 3.14, 0]", "x = x + 1", "x[0] = x", "x = x * x", "x = -x",
+            "x = 1.0e308 * 10", "x = x / 0", "movej(x)", "movel(x)", "servoj(x)", "speedl(x)", "speedj(x, 1, 0.01)", "stopj(1)",
+            "x = get_inverse_kin(x)", "x = get_forward_kin(x)", "x = pose_trans(x, x)", "x = pose_inv(x)", "sync()",
+            "x = norm(x)", "set_tcp(x)", "x = run f(x)", "kill x", "join x", "while True:", "if x == x:", "end",
+            "def f(x):", "return x", "x = f(x)", "halt", "break", "x = floor(x)", "x = x % -1", "x = -2147483647 - 1",
+            "write_output_integer_register(x, x)", "set_digital_out(x, True)", "x = get_tcp_force()", "textmsg(x, x)",
+        ]), 1..15)) {
+            let mut text = "def f(x):\n return x\nend\nx = [0.1, -1.5, 1.5, -1.5, -1.5, 0.2]\n".to_owned();
+            text.push_str(&lines.join("\n"));
+            let opened = lines.iter().filter(|l| l.ends_with(':')).count();
+            let closed = lines.iter().filter(|l| **l == "end").count();
+            for _ in closed..opened {
+                text.push_str("\nend");
+            }
+            let _ = ran(&text, 30);
+        }
     }
-    Ok(Value::Float(match operator {
-        O::Plus => a + b,
-        O::Minus => a - b,
-        O::Times => a * b,
-        O::By => a / b,
-        _ => a % b,
-    }))
 }

@@ -1,6 +1,10 @@
 //! Values of a running script.
 
 use super::super::geometry::Six;
+use super::ast::Operator;
+
+/// Longest text and list that a script may make.
+pub(super) const LONGEST: usize = 4096;
 
 /// A value. Lists are copied, as URScript does.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,7 +60,8 @@ impl Value {
     /// Six numbers of a list or pose.
     pub(crate) fn six(&self) -> Result<Six, String> {
         match self {
-            Self::Pose(pose) => Ok(*pose),
+            Self::Pose(pose) if pose.iter().all(|v| v.is_finite()) => Ok(*pose),
+            Self::Pose(_) => Err("found a pose that is not finite".into()),
             Self::List(items) if items.len() == 6 => {
                 let mut six = [0.0; 6];
                 for (to, item) in six.iter_mut().zip(items) {
@@ -65,6 +70,15 @@ impl Value {
                 Ok(six)
             }
             other => Err(format!("found {}, expected six numbers", other.kind())),
+        }
+    }
+
+    /// Numbers and characters in it: what it costs to copy.
+    pub(crate) fn weight(&self) -> usize {
+        match self {
+            Self::List(items) => 1 + items.iter().map(Self::weight).sum::<usize>(),
+            Self::Text(text) => 1 + text.len() / 16,
+            _ => 1,
         }
     }
 
@@ -87,4 +101,63 @@ impl Value {
             Self::Thread(id) => format!("thread {id}"),
         }
     }
+}
+
+/// What an operator makes of two values.
+pub(crate) fn combine(operator: Operator, left: &Value, right: &Value) -> Result<Value, String> {
+    use Operator as O;
+    Ok(match operator {
+        O::And => Value::Bool(left.truth()? && right.truth()?),
+        O::Or => Value::Bool(left.truth()? || right.truth()?),
+        O::Xor => Value::Bool(left.truth()? != right.truth()?),
+        O::Equal | O::Different => {
+            let same = match (left, right) {
+                (Value::Int(_) | Value::Float(_), Value::Int(_) | Value::Float(_)) => {
+                    left.number()? == right.number()?
+                }
+                _ => left == right,
+            };
+            Value::Bool(same == (operator == O::Equal))
+        }
+        O::Less => Value::Bool(left.number()? < right.number()?),
+        O::More => Value::Bool(left.number()? > right.number()?),
+        O::AtMost => Value::Bool(left.number()? <= right.number()?),
+        O::AtLeast => Value::Bool(left.number()? >= right.number()?),
+        O::Plus | O::Minus | O::Times | O::By | O::Modulo => arithmetic(operator, left, right)?,
+    })
+}
+
+fn arithmetic(operator: Operator, left: &Value, right: &Value) -> Result<Value, String> {
+    use Operator as O;
+    if let (Value::Text(a), O::Plus) = (left, operator) {
+        let text = format!("{a}{}", right.shown());
+        return if text.len() > LONGEST {
+            Err("a text that is too long".into())
+        } else {
+            Ok(Value::Text(text))
+        };
+    }
+    if let (Value::Int(a), Value::Int(b)) = (left, right) {
+        let whole = match operator {
+            O::Plus => Some(a.wrapping_add(*b)),
+            O::Minus => Some(a.wrapping_sub(*b)),
+            O::Times => Some(a.wrapping_mul(*b)),
+            O::Modulo => Some(a.checked_rem(*b).ok_or("division by zero")?),
+            _ => None,
+        };
+        if let Some(whole) = whole {
+            return Ok(Value::Int(whole));
+        }
+    }
+    let (a, b) = (left.number()?, right.number()?);
+    if matches!(operator, O::By | O::Modulo) && b == 0.0 {
+        return Err("division by zero".into());
+    }
+    Ok(Value::Float(match operator {
+        O::Plus => a + b,
+        O::Minus => a - b,
+        O::Times => a * b,
+        O::By => a / b,
+        _ => a % b,
+    }))
 }
