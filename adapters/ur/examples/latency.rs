@@ -1,7 +1,7 @@
-//! How long it takes: from a command to motion, and how old state is. Against an emulated controller, or with
-//! `HOST` (and `armed` in one's own hands) against none other: this example moves.
+//! How long it takes, against an emulated controller in the same process: from a command to motion, between frames of
+//! state, and how many targets of a stream go through.
 //!
-//! `cargo run --release -p graspd-adapters-ur --example latency`
+//! `cargo run -p graspd-adapters-ur --example latency`
 
 use std::time::{Duration, Instant};
 

@@ -260,7 +260,7 @@ impl UrArm {
     /// Takes joints to joints, all at the same time.
     ///
     /// # Errors
-    /// As [`Arm::move_to`].
+    /// As [`graspd_adapters_core::Arm::move_to`].
     pub async fn move_joints(
         &self,
         to: &Joints,
