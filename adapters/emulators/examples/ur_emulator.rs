@@ -12,7 +12,7 @@ struct Args {
     /// Address to listen on.
     #[arg(long, default_value = "127.0.0.1")]
     address: IpAddr,
-    /// Model: ur3e, ur5e, ur10e, ur5.
+    /// Model, for example ur3e or ur10.
     #[arg(long, default_value = "ur5e")]
     model: String,
     /// Not in remote control.
@@ -27,19 +27,15 @@ struct Args {
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     tracing_subscriber::fmt().with_env_filter(tracing_subscriber::EnvFilter::from_default_env()).init();
     let args = Args::parse();
-    let model = match args.model.as_str() {
-        "ur3e" => UrModel::Ur3e,
-        "ur5e" => UrModel::Ur5e,
-        "ur10e" => UrModel::Ur10e,
-        "ur5" => UrModel::Ur5,
-        other => return Err(format!("--model: found {other}, expected ur3e, ur5e, ur10e or ur5").into()),
+    let named = UrModel::ALL.iter().find(|(_, name)| *name == args.model);
+    let Some((model, _)) = named.copied() else {
+        return Err(format!("--model: found {}, expected one of {:?}", args.model, UrModel::ALL).into());
     };
     let settings = UrSettings {
-        model,
         address: args.address,
         remote_control: !args.local,
         powered: !args.off,
-        ..UrSettings::default()
+        ..UrSettings::of(model)
     };
     let emulator = UrEmulator::start(settings).await?;
     println!("listening {:?}", emulator.addresses());

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use bench::{LIMITS, LONG, SOON, apart, bench, bench_with, settings};
 use graspd_adapters_core::{Arm, ArmMode, DeviceError, FaultKind, Limits, Reached};
-use graspd_adapters_emulators::ur::{JointServo, UrSettings, Wall};
+use graspd_adapters_emulators::ur::{JointServo, Plant, PlantState, PlantTarget, UrPorts, UrSettings, Wall};
 use graspd_adapters_ur::ServoSettings;
 use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
 
@@ -287,4 +287,49 @@ async fn nothing_is_left_behind() {
         assert!(Instant::now() < until, "{} connections", emulator.connections());
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_model_is_driven_with_its_own_geometry() {
+    use graspd_adapters_emulators::ur::UrModel;
+    use graspd_adapters_ur::kinematics::Model;
+    for (emulated, model) in
+        [(UrModel::Ur3e, Model::Ur3e), (UrModel::Ur5, Model::Ur5), (UrModel::Ur16e, Model::Ur16e)]
+    {
+        let bench =
+            bench_with(UrSettings { ports: UrPorts::FREE, ..UrSettings::of(emulated) }, None, |config| {
+                config.model = model
+            })
+            .await;
+        let goal = bench.beside(0.02, -0.03, 0.02);
+        bench.arm.move_to(&goal, LIMITS, LONG).await.unwrap();
+        assert!(apart(&bench.flange(), &goal) < 1e-3, "{model:?}");
+        bench.arm.move_until_contact(&bench.beside(0.0, 0.0, 0.03), LIMITS, 20.0, LONG).await.unwrap();
+    }
+}
+
+/// A world that has something hard in it.
+#[derive(Debug)]
+struct Hard(JointServo, f64);
+
+impl Plant for Hard {
+    fn step(&mut self, target: &PlantTarget) -> PlantState {
+        let mut state = self.0.step(target);
+        if target.base_from_flange.translation.vector.z < self.1 {
+            state.protective_stop = Some("the world is hard here".into());
+        }
+        state
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_plant_of_ones_own_can_stop_the_arm() {
+    let start = graspd_adapters_emulators::ur::UrModel::Ur5e.flange(&HOME).translation.vector.z;
+    let settings = UrSettings { joints: Some(HOME), ..settings() };
+    let bench = bench_with(settings, Some(Box::new(Hard(JointServo::new(HOME), start - 0.05))), |_| {}).await;
+    let error = bench.arm.move_linear(&bench.beside(0.0, 0.0, -0.2), LIMITS, LONG).await.unwrap_err();
+    assert!(matches!(&error, DeviceError::Fault { kind: FaultKind::ProtectiveStop, .. }), "{error}");
+    bench.until("stands", |b| !b.moves()).await;
+    let z = bench.flange().translation.vector.z;
+    assert!(z < start - 0.045 && z > start - 0.12, "{}", start - z);
 }

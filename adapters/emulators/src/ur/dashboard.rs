@@ -117,7 +117,8 @@ fn answer(port: &Port, command: &str) -> String {
             }
             "Restarting safety".into()
         }
-        "is in remote control" => robot.remote.to_string(),
+        // The older series has no such mode.
+        "is in remote control" if settings.version[0] >= 5 => robot.remote.to_string(),
         "PolyscopeVersion" | "version" => {
             let [major, minor, bugfix, build] = settings.version;
             format!("URSoftware {major}.{minor}.{bugfix}.{build} (Jul 12 2024)")

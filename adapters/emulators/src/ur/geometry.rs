@@ -16,11 +16,28 @@ pub enum UrModel {
     Ur5e,
     /// UR10e.
     Ur10e,
+    /// UR16e.
+    Ur16e,
+    /// UR3 of the CB3 series.
+    Ur3,
     /// UR5 of the CB3 series.
     Ur5,
+    /// UR10 of the CB3 series.
+    Ur10,
 }
 
 impl UrModel {
+    /// All, with their names.
+    pub const ALL: [(Self, &'static str); 7] = [
+        (Self::Ur3e, "ur3e"),
+        (Self::Ur5e, "ur5e"),
+        (Self::Ur10e, "ur10e"),
+        (Self::Ur16e, "ur16e"),
+        (Self::Ur3, "ur3"),
+        (Self::Ur5, "ur5"),
+        (Self::Ur10, "ur10"),
+    ];
+
     /// Offsets along z and lengths along x of the standard Denavit-Hartenberg table.
     fn table(self) -> (Six, Six) {
         match self {
@@ -31,6 +48,15 @@ impl UrModel {
             Self::Ur10e => {
                 ([0.1807, 0.0, 0.0, 0.17415, 0.11985, 0.11655], [0.0, -0.6127, -0.57155, 0.0, 0.0, 0.0])
             }
+            Self::Ur16e => {
+                ([0.1807, 0.0, 0.0, 0.17415, 0.11985, 0.11655], [0.0, -0.4784, -0.36, 0.0, 0.0, 0.0])
+            }
+            Self::Ur3 => {
+                ([0.1519, 0.0, 0.0, 0.11235, 0.08535, 0.0819], [0.0, -0.24365, -0.21325, 0.0, 0.0, 0.0])
+            }
+            Self::Ur10 => {
+                ([0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922], [0.0, -0.612, -0.5723, 0.0, 0.0, 0.0])
+            }
             Self::Ur5 => {
                 ([0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823], [0.0, -0.425, -0.39225, 0.0, 0.0, 0.0])
             }
@@ -40,15 +66,16 @@ impl UrModel {
     /// What the dashboard answers when asked for the model.
     pub(crate) fn dashboard_name(self) -> &'static str {
         match self {
-            Self::Ur3e => "UR3",
+            Self::Ur3e | Self::Ur3 => "UR3",
             Self::Ur5e | Self::Ur5 => "UR5",
-            Self::Ur10e => "UR10",
+            Self::Ur10e | Self::Ur10 => "UR10",
+            Self::Ur16e => "UR16",
         }
     }
 
     /// True for the older series: control steps of 8 ms.
     pub(crate) fn is_cb3(self) -> bool {
-        self == Self::Ur5
+        matches!(self, Self::Ur3 | Self::Ur5 | Self::Ur10)
     }
 
     /// Length of a control step, seconds.
@@ -60,9 +87,9 @@ impl UrModel {
     pub(crate) fn fastest(self) -> Six {
         use std::f64::consts::{PI, TAU};
         match self {
-            Self::Ur3e => [PI, PI, PI, TAU, TAU, TAU],
+            Self::Ur3e | Self::Ur3 => [PI, PI, PI, TAU, TAU, TAU],
             Self::Ur5e | Self::Ur5 => [PI; 6],
-            Self::Ur10e => [PI * 2.0 / 3.0, PI * 2.0 / 3.0, PI, PI, PI, PI],
+            Self::Ur10e | Self::Ur16e | Self::Ur10 => [PI * 2.0 / 3.0, PI * 2.0 / 3.0, PI, PI, PI, PI],
         }
     }
 
@@ -147,7 +174,7 @@ mod tests {
 
     #[test]
     fn iteration_leads_back() {
-        for model in [UrModel::Ur3e, UrModel::Ur5e, UrModel::Ur10e, UrModel::Ur5] {
+        for (model, _) in UrModel::ALL {
             let q = [0.4, -1.2, 1.6, -1.9, -1.5, 0.3];
             let near = [0.2, -1.0, 1.4, -1.7, -1.7, 0.6];
             let found = model.joints(&model.flange(&q), &near).unwrap();

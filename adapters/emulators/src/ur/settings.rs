@@ -77,3 +77,11 @@ impl Default for UrSettings {
         }
     }
 }
+
+impl UrSettings {
+    /// Those of a model, with software of its series.
+    pub fn of(model: UrModel) -> Self {
+        let version = if model.is_cb3() { [3, 15, 8, 106_339] } else { Self::default().version };
+        Self { model, version, ..Self::default() }
+    }
+}
