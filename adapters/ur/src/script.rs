@@ -1,0 +1,340 @@
+//! The control script that is uploaded to the controller, and the mailbox of registers through which it is told what
+//! to do.
+//!
+//! Registers are of the range 24 to 47, which the manufacturer leaves to RTDE clients.
+//!
+//! | input | | output | |
+//! |---|---|---|---|
+//! | int 24 | number of the command; a new number is a new command | int 24 | 1 ready, 2 busy |
+//! | int 25 | kind of the command | int 25 | number of the command taken last |
+//! | int 26 | heartbeat: must change | int 26 | result of the command done last |
+//! | int 27 | counts targets of a stream | int 27 | number of the command done last |
+//! | double 24-29 | target: joints or pose | int 28 | token: which upload this is |
+//! | double 30-35 | joints near the target | int 29 | why it ended: 1 no heartbeat, 2 asked to |
+//! | double 36-41 | speed, acceleration, time, force, look-ahead, gain | | |
+//!
+//! The tool centre point is set to the flange while the script runs, so that speeds on lines are those of the flange,
+//! and put back when it ends in order.
+
+use std::fmt::Write;
+
+use crate::config::UrConfig;
+use crate::rtde::Value;
+
+/// Fields of the heartbeat.
+pub(crate) const BEAT_FIELDS: [&str; 1] = ["input_int_register_26"];
+/// Fields of a command.
+pub(crate) const COMMAND_FIELDS: [&str; 20] = [
+    "input_double_register_24",
+    "input_double_register_25",
+    "input_double_register_26",
+    "input_double_register_27",
+    "input_double_register_28",
+    "input_double_register_29",
+    "input_double_register_30",
+    "input_double_register_31",
+    "input_double_register_32",
+    "input_double_register_33",
+    "input_double_register_34",
+    "input_double_register_35",
+    "input_double_register_36",
+    "input_double_register_37",
+    "input_double_register_38",
+    "input_double_register_39",
+    "input_double_register_40",
+    "input_double_register_41",
+    "input_int_register_25",
+    "input_int_register_24",
+];
+/// Fields of a target of a stream.
+pub(crate) const STREAM_FIELDS: [&str; 7] = [
+    "input_double_register_24",
+    "input_double_register_25",
+    "input_double_register_26",
+    "input_double_register_27",
+    "input_double_register_28",
+    "input_double_register_29",
+    "input_int_register_27",
+];
+
+/// What the script can be told to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum CommandKind {
+    /// Joints to joints.
+    Joints = 1,
+    /// Joints to a pose, by the controller's own (calibrated) inverse kinematics.
+    Pose = 2,
+    /// A straight line to a pose.
+    Line = 3,
+    /// A straight line to a pose or to a force.
+    Contact = 4,
+    /// A stream of joints.
+    ServoJoints = 5,
+    /// A stream of poses.
+    ServoPose = 6,
+    /// Brake.
+    Stop = 9,
+    /// End the script.
+    End = 99,
+}
+
+/// Results of commands.
+pub(crate) mod result {
+    pub(crate) const GOAL: i32 = 1;
+    pub(crate) const CONTACT: i32 = 2;
+    pub(crate) const STOPPED: i32 = 3;
+    pub(crate) const STALE: i32 = 4;
+    pub(crate) const FORCE: i32 = 6;
+}
+
+/// A command with its numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Command {
+    pub(crate) kind: CommandKind,
+    pub(crate) target: [f64; 6],
+    pub(crate) near: [f64; 6],
+    pub(crate) speed: f64,
+    pub(crate) acceleration: f64,
+    pub(crate) time_s: f64,
+    pub(crate) force_n: f64,
+    pub(crate) lookahead_s: f64,
+    pub(crate) gain: f64,
+}
+
+impl Command {
+    pub(crate) fn new(kind: CommandKind) -> Self {
+        Self {
+            kind,
+            target: [0.0; 6],
+            near: [0.0; 6],
+            speed: 0.0,
+            acceleration: 0.0,
+            time_s: 0.0,
+            force_n: 0.0,
+            lookahead_s: 0.1,
+            gain: 300.0,
+        }
+    }
+
+    /// Values of [`COMMAND_FIELDS`].
+    pub(crate) fn values(&self, number: i32) -> Vec<Value> {
+        let rest = [self.speed, self.acceleration, self.time_s, self.force_n, self.lookahead_s, self.gain];
+        let doubles = self.target.iter().chain(&self.near).chain(&rest);
+        let mut values: Vec<Value> = doubles.map(|v| Value::Double(*v)).collect();
+        values.extend([Value::Int32(self.kind as i32), Value::Int32(number)]);
+        values
+    }
+}
+
+/// A stream without a new target for so long ends, seconds.
+const STREAM_TIMEOUT_S: f64 = 0.1;
+
+/// The script's text.
+pub(crate) fn control_script(config: &UrConfig, token: i32) -> String {
+    let step_s = if config.model.is_e_series() { 0.002 } else { 0.008 };
+    let steps = |time_s: f64| (time_s / step_s).ceil() as i64;
+    let (limits, heartbeat) = (&config.limits, &config.heartbeat);
+    let mut text = String::with_capacity(6000);
+    text.push_str("def graspd_control():\n");
+    // Writing to a String does not fail.
+    let _ = writeln!(text, "  global g_stop_joint = {:e}", limits.stop_rad_s2);
+    let _ = writeln!(text, "  global g_stop_line = {:e}", limits.stop_m_s2);
+    let _ = writeln!(text, "  global g_missed_most = {}", steps(heartbeat.timeout_s));
+    let _ = writeln!(text, "  global g_stale_most = {}", steps(STREAM_TIMEOUT_S));
+    text.push_str(BODY);
+    if let Some(payload) = &config.payload {
+        let [x, y, z] = payload.center_m;
+        let _ = writeln!(text, "  set_payload({:e}, [{x:e}, {y:e}, {z:e}])", payload.mass_kg);
+    }
+    let _ = writeln!(text, "  write_output_integer_register(28, {token})");
+    text.push_str(LOOP);
+    text
+}
+
+const BODY: &str = "  global g_kind = 0
+  global g_moving = 0
+  global g_thread = 0
+  global g_target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  global g_near = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  global g_servo = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  global g_rest = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  global g_speed = 0.0
+  global g_acceleration = 0.0
+  global g_time = 0.0
+  global g_force = 0.0
+  global g_lookahead = 0.1
+  global g_gain = 300.0
+  global g_step = get_steptime()
+
+  def g_pose():
+    return p[g_target[0], g_target[1], g_target[2], g_target[3], g_target[4], g_target[5]]
+  end
+
+  def g_read(first):
+    six = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    i = 0
+    while i < 6:
+      six[i] = read_input_float_register(first + i)
+      i = i + 1
+    end
+    return six
+  end
+
+  thread g_move():
+    if g_kind == 1:
+      movej(g_target, a=g_acceleration, v=g_speed)
+    elif g_kind == 2:
+      movej(get_inverse_kin(g_pose(), g_near), a=g_acceleration, v=g_speed)
+    else:
+      movel(g_pose(), a=g_acceleration, v=g_speed, t=g_time)
+    end
+    g_moving = 0
+  end
+
+  thread g_follow():
+    while True:
+      servoj(g_servo, t=g_step, lookahead_time=g_lookahead, gain=g_gain)
+    end
+  end
+
+  def g_brake():
+    if g_moving != 0:
+      kill g_thread
+      g_moving = 0
+      if g_kind == 3 or g_kind == 4:
+        stopl(g_stop_line)
+      else:
+        stopj(g_stop_joint)
+      end
+    end
+  end
+
+  def g_finish(number, result):
+    write_output_integer_register(26, result)
+    write_output_integer_register(27, number)
+    write_output_integer_register(24, 1)
+  end
+
+  def g_pressed():
+    f = get_tcp_force()
+    return norm([f[0] - g_rest[0], f[1] - g_rest[1], f[2] - g_rest[2]])
+  end
+
+  tcp_before = get_tcp_offset()
+  set_tcp(p[0, 0, 0, 0, 0, 0])
+";
+
+const LOOP: &str = "  number = read_input_integer_register(24)
+  beat = read_input_integer_register(26)
+  missed = 0
+  count = 0
+  stale = 0
+  busy = False
+  going = True
+  write_output_integer_register(25, number)
+  write_output_integer_register(26, 0)
+  write_output_integer_register(27, number)
+  write_output_integer_register(29, 0)
+  write_output_integer_register(24, 1)
+  while going:
+    now = read_input_integer_register(26)
+    if now == beat:
+      missed = missed + 1
+    else:
+      missed = 0
+      beat = now
+    end
+    asked = read_input_integer_register(24)
+    if missed > g_missed_most:
+      g_brake()
+      write_output_integer_register(29, 1)
+      going = False
+    elif asked != number:
+      g_brake()
+      number = asked
+      g_kind = read_input_integer_register(25)
+      g_target = g_read(24)
+      g_near = g_read(30)
+      g_speed = read_input_float_register(36)
+      g_acceleration = read_input_float_register(37)
+      g_time = read_input_float_register(38)
+      g_force = read_input_float_register(39)
+      g_lookahead = read_input_float_register(40)
+      g_gain = read_input_float_register(41)
+      g_rest = get_tcp_force()
+      busy = True
+      write_output_integer_register(24, 2)
+      write_output_integer_register(25, number)
+      if g_kind == 99:
+        write_output_integer_register(29, 2)
+        going = False
+      elif g_kind == 9:
+        busy = False
+        g_finish(number, 3)
+      elif g_kind == 5 or g_kind == 6:
+        g_servo = get_target_joint_positions()
+        count = read_input_integer_register(27)
+        stale = 0
+        g_moving = 1
+        g_thread = run g_follow()
+      else:
+        g_moving = 1
+        g_thread = run g_move()
+      end
+    elif busy:
+      if g_pressed() > g_force:
+        g_brake()
+        busy = False
+        if g_kind == 4:
+          g_finish(number, 2)
+        else:
+          g_finish(number, 6)
+        end
+      elif g_kind == 5 or g_kind == 6:
+        counted = read_input_integer_register(27)
+        if counted == count:
+          stale = stale + 1
+        else:
+          stale = 0
+          count = counted
+          g_target = g_read(24)
+          if g_kind == 5:
+            g_servo = g_target
+          else:
+            g_servo = get_inverse_kin(g_pose(), get_target_joint_positions())
+          end
+        end
+        if stale > g_stale_most:
+          g_brake()
+          busy = False
+          g_finish(number, 4)
+        end
+      elif g_moving == 0:
+        busy = False
+        g_finish(number, 1)
+      end
+    end
+    sync()
+  end
+  set_tcp(tcp_before)
+  write_output_integer_register(24, 0)
+end
+";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_script_has_the_configured_bounds_and_blocks_that_close() {
+        let config = UrConfig { host: "h".into(), ..UrConfig::default() };
+        let text = control_script(&config, 77);
+        assert!(text.contains("g_stop_joint = 6e0") && text.contains("g_missed_most = 100"), "{text}");
+        assert!(text.contains("write_output_integer_register(28, 77)"));
+        let words = |word: &str| text.split_whitespace().filter(|w| *w == word).count();
+        let opened = words("def") + words("thread") + words("if") + words("while");
+        assert_eq!(opened, words("end"));
+        assert!(text.is_ascii() && !text.contains("NaN") && !text.contains("inf,"));
+        assert_eq!(Command::new(CommandKind::Stop).values(5).len(), COMMAND_FIELDS.len());
+    }
+}
