@@ -7,3 +7,4 @@
 
 pub mod dynamixel;
 pub mod line;
+pub mod robotiq;
