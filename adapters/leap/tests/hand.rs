@@ -239,10 +239,14 @@ async fn a_hang_up_ends_a_motion_and_the_next_call_connects_again() {
     let b = bench_with(BusConfig::leap(false), |s| s.max_speed_rad_s = 0.3);
     b.hand.grip(&grip(0.0), PATIENT).await.unwrap();
     let command = grip(0.6);
+    let began = Instant::now();
     let (ended, ()) = tokio::join!(b.hand.grip(&command, PATIENT), async {
         tokio::time::sleep(Duration::from_millis(300)).await;
         b.bus.faults().hang_up(Duration::from_millis(500));
+        // Whoever meets the broken line first, all are told.
+        while b.hand.joints(PATIENT).await.is_ok() && b.hand.state(PATIENT).await.is_ok() {}
     });
+    assert!(began.elapsed() < Duration::from_secs(5));
     let error = ended.unwrap_err();
     assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
     let away = b.hand.state(PATIENT).await.unwrap_err();

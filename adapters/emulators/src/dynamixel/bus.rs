@@ -51,10 +51,23 @@ impl Bus {
         self.packets
     }
 
-    /// Lets the plant catch up with the time.
+    /// Lets the plant catch up with the time; watchdogs fire when they fire, not when somebody looks.
     fn advance(&mut self, now: Instant) {
-        let silence = now.saturating_duration_since(self.heard);
-        self.motors.iter_mut().for_each(|m| m.watch(silence));
+        while let Some(fires) = self.motors.iter().filter_map(Motor::watchdog).min().map(|s| self.heard + s)
+            && fires < now
+        {
+            self.pass(fires);
+            let heard = self.heard;
+            for motor in &mut self.motors {
+                if motor.watchdog().is_some_and(|silence| heard + silence <= fires) {
+                    motor.stop_alone();
+                }
+            }
+        }
+        self.pass(now);
+    }
+
+    fn pass(&mut self, now: Instant) {
         let commands: Vec<MotorCommand> = self.motors.iter().map(Motor::command).collect();
         let mut states: Vec<MotorState> = self.motors.iter().map(|m| m.state).collect();
         self.plant.advance(now.saturating_duration_since(self.advanced), &commands, &mut states);
@@ -62,7 +75,7 @@ impl Bus {
             motor.state = state;
             motor.measure();
         }
-        self.advanced = now;
+        self.advanced = self.advanced.max(now);
     }
 
     pub(super) fn receive(&mut self, bytes: &[u8], now: Instant) -> Vec<Reply> {

@@ -134,13 +134,17 @@ impl Motor {
         }
     }
 
-    /// Stops when the bus has been silent for too long.
-    pub(super) fn watch(&mut self, silence: Duration) {
+    /// Silence after which its bus watchdog stops it; `None` while that is off, or has fired.
+    pub(super) fn watchdog(&self) -> Option<Duration> {
         let count = self.table[usize::from(table::BUS_WATCHDOG.addr)];
-        if count != 0 && count != FIRED && self.torque() && silence > WATCHDOG_COUNT * u32::from(count) {
-            self.table[usize::from(table::BUS_WATCHDOG.addr)] = FIRED;
-            self.hold();
-        }
+        let waits = count != 0 && count != FIRED && self.torque();
+        waits.then(|| WATCHDOG_COUNT * u32::from(count))
+    }
+
+    /// Its bus watchdog fires.
+    pub(super) fn stop_alone(&mut self) {
+        self.table[usize::from(table::BUS_WATCHDOG.addr)] = FIRED;
+        self.hold();
     }
 
     fn hold(&mut self) {

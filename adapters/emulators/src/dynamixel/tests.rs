@@ -128,6 +128,9 @@ fn the_bus_watchdog_stops_a_motor_and_locks_its_goals() {
     let silent = start + Duration::from_millis(300);
     assert_eq!(write(&mut bus, 0, table::GOAL_POSITION, 4000, silent), Some(Refusal::DataRange));
     assert_eq!(bus.peek(0, 98, 1, silent).unwrap(), [255]);
+    // 100 ms at about 1 rad/s: it stopped on its way, 300 ms after the last word.
+    let stopped = i32::from_le_bytes(bus.peek(0, 132, 4, silent).unwrap().try_into().unwrap());
+    assert!((stopped - 2048 - 65).abs() <= 2, "{stopped}");
     assert_eq!(write(&mut bus, 0, table::BUS_WATCHDOG, 0, silent), None);
     assert_eq!(write(&mut bus, 0, table::GOAL_POSITION, 3000, silent), None);
 }

@@ -127,9 +127,18 @@ impl Driver {
         if self.energized {
             let _held = self.hold().await;
         }
+        self.abandon(&failed);
+        failed
+    }
+
+    /// Gives the line up: nobody may wait for what will not come over it.
+    fn abandon(&mut self, error: &DeviceError) {
         self.bus = None;
         self.energized = false;
-        failed
+        for reply in self.waiting.drain(..) {
+            let _unheard = reply.send(Err(error.clone()));
+        }
+        self.finish(Err(error.clone()));
     }
 
     /// A caller's words for an exchange that failed: which motors are silent, by name.

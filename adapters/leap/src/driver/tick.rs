@@ -130,9 +130,9 @@ impl Driver {
             .collect();
         let told = self.bus().await?.sync_write(table::GOAL_POSITION, targets.into_iter()).await;
         if let Err(error) = told {
-            self.bus = None;
-            self.energized = false;
-            return Err(self.disconnected(error.to_string()));
+            let error = self.disconnected(error.to_string());
+            self.abandon(&error);
+            return Err(error);
         }
         self.goals = Some(goals.to_vec());
         Ok(())
