@@ -218,6 +218,39 @@ async fn a_missing_motor_is_named_and_hangs_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_motor_that_lost_its_power_for_a_moment_is_noticed() {
+    let b = bench();
+    b.hand.grip(&grip(0.0), PATIENT).await.unwrap();
+    b.bus.power_cycle(13);
+    let error = b.hand.grip(&grip(0.3), PATIENT).await.unwrap_err();
+    assert!(
+        error.is_clearable() && error.to_string().contains("no torque at motor 13 (thumb_axl)"),
+        "{error}"
+    );
+    b.hand.clear_fault(PATIENT).await.unwrap();
+    let state = b.hand.grip(&grip(0.3), PATIENT).await.unwrap();
+    assert!((state.actuators[index_of("thumb_axl")] - 0.3).abs() < 0.01);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hand_that_is_dropped_frees_its_port() {
+    let b = bench();
+    b.hand.grip(&grip(0.1), PATIENT).await.unwrap();
+    drop(b.hand);
+    // Ports are opened for one user alone: this one waits until the port is free.
+    let port = b.bus.path().display().to_string();
+    let other =
+        LeapHand::new(LeapSettings { port, reply_timeout_ms: 100, ..LeapSettings::default() }).unwrap();
+    let until = Instant::now() + PATIENT;
+    while other.state(PATIENT).await.is_err() {
+        assert!(Instant::now() < until, "the port is still taken");
+    }
+    let path = b.bus.path().to_owned();
+    drop(b.bus);
+    assert!(!path.is_symlink());
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_silent_bus_is_an_error_in_bounded_time() {
     let b = bench_with(BusConfig::leap(false), |s| s.reply_timeout_ms = 20);
     for id in 0..16 {

@@ -345,8 +345,36 @@ async fn a_gripper_that_lost_power_says_that_it_is_not_activated() {
     });
     let error = ended.unwrap_err();
     assert!(matches!(&error, DeviceError::Fault { kind: FaultKind::NotActivated, .. }), "{error}");
+    // Nobody has asked for an activation: stopping it must not have begun one.
+    b.hand.stop(PATIENT).await.unwrap();
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    assert_eq!((b.gripper.request()[0], b.gripper.status()[0]), (0, 0));
     b.hand.clear_fault(PATIENT).await.unwrap();
     b.hand.grip(&grip(0.0), PATIENT).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hand_that_is_dropped_stops_frees_its_port_and_another_can_stop_what_moves() {
+    let b = ready(Wire::Rtu).await;
+    let Server::Line(line) = &b.server else { panic!("no serial line") };
+    let link = LinkSettings::Rtu { port: line.path().display().to_string(), baud: 115_200 };
+    drop(b.hand);
+    // Ports are opened for one user alone: this one waits until the port is free.
+    let other = RobotiqHand::new(RobotiqSettings { link, ..RobotiqSettings::default() }).unwrap();
+    let until = Instant::now() + PATIENT;
+    while other.state(PATIENT).await.is_err() {
+        assert!(Instant::now() < until, "the port is still taken");
+    }
+    assert!(b.gripper.request()[0] & 1 == 1, "a grip is kept");
+    // Somebody else let it go; whoever connects later can stop it, armed or not.
+    let mut request = b.gripper.request();
+    request[0] = 9;
+    request[3] = 255;
+    assert_eq!(b.gripper.status()[0] & 1, 1);
+    b.gripper.overwrite(request);
+    tokio::time::sleep(Duration::from_millis(60)).await;
+    other.stop(PATIENT).await.unwrap();
+    assert_eq!(b.gripper.request()[..4], [1, 0, 0, 255]);
 }
 
 #[tokio::test(flavor = "multi_thread")]

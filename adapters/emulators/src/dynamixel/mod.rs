@@ -62,6 +62,13 @@ impl BusEmulator {
         self.bus.lock().unplug(id, unplugged);
     }
 
+    /// Takes a motor's power away for a moment: it is back at once, without torque.
+    pub fn power_cycle(&self, id: u8) {
+        let mut bus = self.bus.lock();
+        bus.unplug(id, true);
+        bus.unplug(id, false);
+    }
+
     /// Bytes of a motor's control table, now; `None` for what is not there.
     pub fn register(&self, id: u8, addr: u16, len: u16) -> Option<Vec<u8>> {
         self.bus.lock().peek(id, addr, len, Instant::now())

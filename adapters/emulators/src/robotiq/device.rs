@@ -76,6 +76,11 @@ impl Gripper {
         self.lock().inputs(Instant::now())
     }
 
+    /// Writes all request bytes, as another master on the line would.
+    pub fn overwrite(&self, request: [u8; 16]) {
+        self.lock().write(0, &request, Instant::now());
+    }
+
     /// Its sixteen request bytes, as written last.
     pub fn request(&self) -> [u8; 16] {
         self.lock().outputs()

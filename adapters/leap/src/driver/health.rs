@@ -55,7 +55,7 @@ impl Driver {
         }
     }
 
-    /// Reads temperatures; one that is too high is remembered as what stopped the hand.
+    /// Reads temperatures, and torque where motors hold; what is wrong is remembered as what stopped the hand.
     pub(super) async fn feel_temperature(&mut self) -> Result<(), DeviceError> {
         let limit = self.settings.max_temperature_c;
         let answers = self.read_all(SUPPLY).await?;
@@ -69,6 +69,21 @@ impl Driver {
             let detail = format!("over-temperature of {}, limit {limit} C", hot.join("; "));
             tracing::warn!(device = self.settings.name, "{detail}");
             self.fault = Some((FaultKind::Overload, detail));
+        }
+        if self.energized { self.miss_torque().await } else { Ok(()) }
+    }
+
+    /// A motor that lost its power for a moment is back without torque, and says nothing of it.
+    async fn miss_torque(&mut self) -> Result<(), DeviceError> {
+        let answers = self.read_all(table::TORQUE_ENABLE).await?;
+        let limp: Vec<String> = answers.iter().filter(|a| a.data != [1]).map(|a| self.motor(a.id)).collect();
+        if !limp.is_empty() && self.fault.is_none() {
+            let detail = format!(
+                "no torque at {}: it lost power, or somebody else has switched it off",
+                limp.join(", ")
+            );
+            tracing::warn!(device = self.settings.name, "{detail}");
+            self.fault = Some((FaultKind::NotActivated, detail));
         }
         Ok(())
     }
@@ -85,8 +100,9 @@ impl Driver {
         if faulty.is_empty() && self.fault.is_none() && (self.energized || !self.armed) {
             return Ok(());
         }
+        let limp = matches!(self.fault, Some((FaultKind::NotActivated, _)));
         self.fault = None;
-        if !faulty.is_empty() {
+        if limp || !faulty.is_empty() {
             self.energized = false;
         }
         for id in &faulty {

@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::Driver;
 use super::orders::{Patience, Reply, tell};
 use crate::settings::Model;
-use crate::wire::{AxisRequest, Mode, Motion, Phase, Request, Status};
+use crate::wire::{AxisRequest, AxisStatus, Mode, Motion, Phase, Request, Status};
 
 /// A gripper that is reset rests this long before it is activated.
 const RESET: Duration = Duration::from_millis(500);
@@ -200,12 +200,27 @@ impl Driver {
         Ok(taken && status.axes.iter().all(|a| a.motion != Motion::Moving))
     }
 
-    /// Stops the fingers where they are: they keep their grip.
+    /// Stops the fingers where they are: they keep their grip. Looks first: a gripper that is not activated any more
+    /// would take the activation bit of a stop for an activation, and move.
     pub(super) async fn halt(&mut self) -> Result<(), DeviceError> {
-        if !self.request.go {
+        let status = self.look().await?;
+        if !status.activated {
+            self.request = Request::default();
             return Ok(());
         }
-        self.write(Request { go: false, ..self.request.clone() }).await
+        if !status.goes && !self.request.go {
+            return Ok(());
+        }
+        // What somebody else has asked stays what it was.
+        let asked = |a: &AxisStatus| AxisRequest { position: a.requested, ..AxisRequest::default() };
+        let axes = if self.request.axes.len() == status.axes.len() {
+            self.request.axes.clone()
+        } else {
+            status.axes.iter().map(asked).collect()
+        };
+        let individual = self.request.individual;
+        self.write(Request { activate: true, go: false, release: None, mode: status.mode, individual, axes })
+            .await
     }
 
     /// A request's constant part.
