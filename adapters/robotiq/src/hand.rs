@@ -7,7 +7,7 @@ use graspd_adapters_core::{CloseCommand, DeviceError, GripCommand, Hand, HandInf
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::timeout_at;
 
-use crate::calibration::Actuators;
+use crate::calibration::{Actuators, Calibration};
 use crate::driver::{Driver, Order, Patience, Reply, Together};
 use crate::report::{Finding, GripperReport};
 use crate::settings::{RobotiqSettings, SettingsError};
@@ -29,6 +29,10 @@ pub struct RobotiqHand {
     /// Least and largest value of each actuator.
     limits: Vec<(f64, f64)>,
     orders: mpsc::Sender<Order>,
+    /// Opening of a 2F that is wide open.
+    open_mm: f64,
+    /// True when its settings allow less than the whole stroke.
+    narrowed: bool,
 }
 
 impl RobotiqHand {
@@ -47,8 +51,10 @@ impl RobotiqHand {
         };
         let limits = actuators.list.iter().map(|(_, least, most)| (*least, *most)).collect();
         let (orders, received) = mpsc::channel(ORDERS);
+        let open_mm = settings.calibration().open_mm;
+        let narrowed = settings.openings() != [0.0, open_mm];
         tokio::spawn(Driver::new(settings, actuators).run(received));
-        Ok(Self { info, limits, orders })
+        Ok(Self { info, limits, orders, open_mm, narrowed })
     }
 
     /// Allows motion, or forbids it: then fingers stop; they keep their grip.
@@ -93,6 +99,43 @@ impl RobotiqHand {
         let together = Together { mode, closed, speed, force };
         self.ask("grip_in_mode", timeout, |reply| Order::Together(together, Patience::of(timeout), reply))
             .await
+    }
+
+    /// Opens and closes a 2F with nothing between its fingers, gently, and says at which counts it was open and closed:
+    /// for `calibration` of its settings.
+    ///
+    /// # Errors
+    /// [`DeviceError::Unsupported`] for a 3-Finger, or where its settings allow less than the whole stroke;
+    /// [`DeviceError::Protocol`] when it met something; else as [`Hand::grip`].
+    pub async fn calibrate(&self, timeout: Duration) -> Result<Calibration, DeviceError> {
+        let device = || self.info.name.clone();
+        if self.limits.len() != 1 || self.narrowed {
+            return Err(DeviceError::Unsupported { device: device(), operation: "calibrate" });
+        }
+        let patience = Patience::of(timeout);
+        let mut counts = [0; 2];
+        for (count, end) in counts.iter_mut().zip([0, 255]) {
+            let left = patience.until.saturating_duration_since(tokio::time::Instant::now());
+            let state = self.ask("calibrate", left, |reply| Order::Count(end, patience, reply)).await?;
+            if state.feels_object() {
+                let detail = format!("calibration: something held the fingers on their way to count {end}");
+                return Err(DeviceError::Protocol { device: device(), detail });
+            }
+            let left = patience.until.saturating_duration_since(tokio::time::Instant::now());
+            let report = self.report(left).await?;
+            *count = report.axes.first().map_or(0, |axis| axis.count);
+        }
+        let [open, closed] = counts.map(f64::from);
+        Ok(Calibration { open_count: open, closed_count: closed, open_mm: self.open_mm })
+    }
+
+    /// Lets go in an emergency: fingers open (or close) slowly and at once, whatever else was asked. The gripper must be
+    /// activated anew afterwards.
+    ///
+    /// # Errors
+    /// As [`Hand::clear_fault`].
+    pub async fn release(&self, opens: bool, timeout: Duration) -> Result<(), DeviceError> {
+        self.ask("release", timeout, |reply| Order::Release(opens, Patience::of(timeout), reply)).await
     }
 
     /// Phase, fault, and of each motor position, count, current and what it does.

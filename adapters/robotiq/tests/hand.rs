@@ -378,6 +378,30 @@ async fn a_hand_that_is_dropped_stops_frees_its_port_and_another_can_stop_what_m
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_gripper_measures_its_own_counts() {
+    let b = ready(Wire::Rtu).await;
+    let found = b.hand.calibrate(PATIENT).await.unwrap();
+    assert_eq!((found.open_count, found.closed_count, found.open_mm), (3.0, 230.0, 85.0));
+    b.objects.between(0, Some(100.0));
+    let met = b.hand.calibrate(PATIENT).await.unwrap_err();
+    assert!(met.to_string().contains("something held the fingers"), "{met}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_released_gripper_must_be_activated_anew() {
+    for wire in [Wire::Rtu, Wire::Socket] {
+        let b = ready(wire).await;
+        b.hand.grip(&grip(0.0425), PATIENT).await.unwrap();
+        b.hand.release(true, PATIENT).await.unwrap();
+        let report = b.hand.report(PATIENT).await.unwrap();
+        assert!(report.opening_mm.unwrap() > 84.0, "{report:?}");
+        assert!(b.hand.grip(&grip(0.02), PATIENT).await.unwrap_err().is_clearable());
+        b.hand.clear_fault(PATIENT).await.unwrap();
+        b.hand.grip(&grip(0.02), PATIENT).await.unwrap();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_emergency_stop_of_the_arm_makes_the_gripper_unavailable() {
     let b = ready(Wire::Socket).await;
     b.gripper.out_of_reach(true);

@@ -50,7 +50,8 @@ impl Default for MotorState {
     }
 }
 
-/// What the motors of a bus move. A simulated world implements this to stand behind the bus.
+/// What the motors of a bus move. A simulated world implements this to stand behind the bus; it must not keep its
+/// caller waiting, who answers on the line.
 pub trait Plant: Send + 'static {
     /// Lets `elapsed` pass under these commands; `states[i]` belongs to `commands[i]`. Called whenever the bus is asked
     /// something.

@@ -38,7 +38,7 @@ pub struct AxisState {
 }
 
 /// What the motors of a gripper move: one of a 2F; fingers A, B, C and scissor of a 3-Finger. A simulated world
-/// implements this to stand behind the gripper.
+/// implements this to stand behind the gripper; it must not keep its caller waiting, who answers on the line.
 pub trait Plant: Send + 'static {
     /// Lets `elapsed` pass under these commands; `states[i]` belongs to `commands[i]`. Called whenever the gripper is
     /// asked something.

@@ -169,13 +169,14 @@ impl Driver {
     }
 
     async fn arm(&mut self, armed: bool) -> Result<(), DeviceError> {
-        if self.armed && !armed {
-            self.stop("disarming").await?;
-            self.armed = false;
-            return self.relax().await;
-        }
+        let disarms = self.armed && !armed;
+        // Whatever fails below, nothing begins to move any more.
         self.armed = armed;
-        Ok(())
+        if !disarms {
+            return Ok(());
+        }
+        self.stop("disarming").await?;
+        self.relax().await
     }
 
     /// Ends a motion with its answer.

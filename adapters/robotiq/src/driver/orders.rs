@@ -43,6 +43,9 @@ pub(crate) enum Order {
     Grip(GripCommand, Patience, Reply<HandState>),
     Close(CloseCommand, Patience, Reply<HandState>),
     Together(Together, Patience, Reply<HandState>),
+    /// To a count, all motors; answers with the counts that were reached.
+    Count(u8, Patience, Reply<HandState>),
+    Release(bool, Patience, Reply<()>),
     Stop(Reply<()>),
     Clear(Patience, Reply<()>),
     Arm(bool, Reply<()>),
@@ -100,14 +103,34 @@ impl Driver {
                     Err(error) => tell(reply, Err(error)),
                 }
             }
+            Order::Count(count, patience, reply) => match self.ready_to_move(&reply).await {
+                Ok(status) => {
+                    let counts = vec![count; status.axes.len()];
+                    let axes = self.requests(&counts, &vec![self.speed(0.5); counts.len()], 0.0);
+                    self.start("calibrate", vec![Step::go(axes)], patience, Waits::State(reply)).await;
+                }
+                Err(error) => tell(reply, Err(error)),
+            },
+            Order::Release(opens, patience, reply) => {
+                let allowed = self.refuse_unarmed().and_then(|()| self.refuse_busy());
+                match allowed {
+                    Ok(()) => {
+                        let steps = vec![Step::release(opens)];
+                        self.start("release", steps, patience, Waits::Done(reply)).await;
+                    }
+                    Err(error) => tell(reply, Err(error)),
+                }
+            }
             Order::Stop(reply) => {
                 let answer = self.stop().await;
                 tell(reply, answer);
             }
             Order::Clear(patience, reply) => self.clear(patience, reply).await,
             Order::Arm(armed, reply) => {
-                let stopped = if armed { Ok(()) } else { self.stop().await };
+                let disarms = self.armed && !armed;
+                // Whatever fails below, nothing begins to move any more.
                 self.armed = armed;
+                let stopped = if disarms { self.stop().await } else { Ok(()) };
                 tell(reply, stopped);
             }
             Order::Report(reply) => {

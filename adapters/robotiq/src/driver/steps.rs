@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::Driver;
 use super::orders::{Patience, Reply, tell};
 use crate::settings::Model;
-use crate::wire::{AxisRequest, AxisStatus, Mode, Motion, Phase, Request, Status};
+use crate::wire::{AxisRequest, AxisStatus, Fault, Mode, Motion, Phase, Request, Status};
 
 /// A gripper that is reset rests this long before it is activated.
 const RESET: Duration = Duration::from_millis(500);
@@ -32,6 +32,8 @@ enum Act {
     Change(Mode),
     /// All fingers of a 3-Finger as one, as its mode says.
     Together(AxisRequest),
+    /// Automatic release: slowly open (true) or closed, whatever else was asked.
+    Release(bool),
 }
 
 /// A step, and since when.
@@ -56,6 +58,10 @@ impl Step {
 
     pub(super) fn together(axis: AxisRequest) -> Self {
         Self { act: Act::Together(axis), since: None }
+    }
+
+    pub(super) fn release(opens: bool) -> Self {
+        Self { act: Act::Release(opens), since: None }
     }
 
     pub(super) fn go(axes: Vec<AxisRequest>) -> Self {
@@ -148,6 +154,7 @@ impl Driver {
                 Act::Activate => Request { activate: true, ..self.rest() },
                 Act::Go(axes) => Request { activate: true, go: true, axes, ..self.rest() },
                 Act::Change(mode) => Request { activate: true, mode, individual: false, ..self.rest() },
+                Act::Release(opens) => Request { activate: true, release: Some(opens), ..self.rest() },
                 Act::Together(axis) => {
                     let axes =
                         vec![axis, AxisRequest::default(), AxisRequest::default(), AxisRequest::default()];
@@ -163,6 +170,7 @@ impl Driver {
             Act::Reset => !status.activated && status.phase == Phase::Reset && waited >= RESET,
             Act::Activate => self.is_activated(&status, waited)?,
             Act::Go(_) | Act::Together(_) => self.is_there(&status, waited)?,
+            Act::Release(_) => status.fault.is_some_and(Fault::is_released),
             Act::Change(mode) => waited >= TAKES && status.phase == Phase::Ready && status.mode == *mode,
         };
         if done {

@@ -58,6 +58,11 @@ impl Fault {
         !matches!((self.code, self.three), (0x05 | 0x06, _) | (0x09, false))
     }
 
+    /// True when an automatic release is done.
+    pub fn is_released(self) -> bool {
+        self.code == 0x0F
+    }
+
     /// True for what only a new activation ends.
     pub fn is_major(self) -> bool {
         self.code >= 0x0A
