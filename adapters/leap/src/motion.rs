@@ -1,0 +1,323 @@
+//! Where the fingers are told to go from moment to moment. No I/O, no clock: the time is handed in.
+//!
+//! A way is gone by all joints together, each at the same share of it at any moment, as a cubic in time: speed and
+//! acceleration of every joint stay below their bounds.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// A joint at rest moves less than this, radians ...
+const REST_RAD: f64 = 0.01;
+/// ... for this long.
+const REST: Duration = Duration::from_millis(200);
+/// A joint that uses this share of its current and lacks at least [`REST_RAD`] of its goal is held, too.
+const HELD_LOAD: f64 = 0.8;
+
+/// Bounds of a motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Bounds {
+    /// Radians per second.
+    pub(crate) speed_rad_s: f64,
+    /// Radians per second squared.
+    pub(crate) acceleration_rad_s2: f64,
+    /// Milliamperes.
+    pub(crate) current_ma: f64,
+    /// What a joint at rest lacks of its goal when something holds it, radians.
+    pub(crate) held_rad: f64,
+}
+
+/// What a joint measured.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Reading {
+    pub(crate) position_rad: f64,
+    pub(crate) velocity_rad_s: f64,
+    pub(crate) current_ma: f64,
+}
+
+/// A part of a motion.
+#[derive(Debug, Clone, PartialEq)]
+enum Stage {
+    /// All joints to here, together, in no less than this time.
+    Travel { to: Vec<f64>, least: Duration },
+    /// Fingers go on to here, each until it is held.
+    Press { to: Vec<f64> },
+    /// Wait until all joints are at rest.
+    Rest,
+}
+
+/// Fingers on their way.
+#[derive(Debug)]
+pub(crate) struct Motion {
+    bounds: Bounds,
+    /// Which finger each joint belongs to.
+    fingers: Vec<u8>,
+    stages: VecDeque<Stage>,
+    goals: Vec<f64>,
+    /// Where the stage began, and when.
+    from: Vec<f64>,
+    began: Duration,
+    /// While pressing: share of its way that each joint has gone.
+    gone: Vec<f64>,
+    rest: RestWatch,
+}
+
+impl Motion {
+    /// All joints to `to`.
+    pub(crate) fn grip(
+        fingers: Vec<u8>,
+        from: Vec<f64>,
+        to: Vec<f64>,
+        bounds: Bounds,
+        now: Duration,
+    ) -> Self {
+        let stages = [Stage::Travel { to, least: Duration::ZERO }, Stage::Rest];
+        Self::new(fingers, from, stages.into(), bounds, now)
+    }
+
+    /// All joints to `contact` in `meet`, on to `squeezed`, and fingers that are not held on to `farthest`.
+    pub(crate) fn close(
+        fingers: Vec<u8>,
+        from: Vec<f64>,
+        way: [&[f64]; 3],
+        meet: Duration,
+        bounds: Bounds,
+        now: Duration,
+    ) -> Self {
+        let [contact, squeezed, farthest] = way;
+        // A joint that is beyond contact already stays: opened again it might let go.
+        let meeting = from
+            .iter()
+            .zip(contact.iter().zip(squeezed))
+            .map(
+                |(from, (contact, squeezed))| {
+                    if (from - contact) * (squeezed - contact) > 0.0 { *from } else { *contact }
+                },
+            )
+            .collect();
+        let stages = [
+            Stage::Travel { to: meeting, least: meet },
+            Stage::Travel { to: squeezed.to_vec(), least: Duration::ZERO },
+            Stage::Press { to: farthest.to_vec() },
+            Stage::Rest,
+        ];
+        Self::new(fingers, from, stages.into(), bounds, now)
+    }
+
+    fn new(fingers: Vec<u8>, from: Vec<f64>, stages: VecDeque<Stage>, bounds: Bounds, now: Duration) -> Self {
+        let gone = vec![0.0; from.len()];
+        Self { bounds, fingers, stages, goals: from.clone(), from, began: now, gone, rest: RestWatch::new() }
+    }
+
+    /// Where joints are told to go now.
+    pub(crate) fn goals(&self) -> &[f64] {
+        &self.goals
+    }
+
+    /// Goes on after a reading; true when the motion is at its end.
+    pub(crate) fn step(&mut self, readings: &[Reading], now: Duration) -> bool {
+        let resting = self.rest.look(readings, now);
+        loop {
+            let Some(stage) = self.stages.front() else { return true };
+            let done = match stage {
+                Stage::Travel { to, least } => {
+                    let (to, least) = (to.clone(), *least);
+                    self.travel(&to, least, now)
+                }
+                Stage::Press { to } => {
+                    let to = to.clone();
+                    self.press(&to, readings, now)
+                }
+                Stage::Rest => resting && now.saturating_sub(self.began) >= REST,
+            };
+            if !done {
+                return false;
+            }
+            self.stages.pop_front();
+            self.from.clone_from(&self.goals);
+            self.began = now;
+            self.gone.fill(0.0);
+        }
+    }
+
+    fn travel(&mut self, to: &[f64], least: Duration, now: Duration) -> bool {
+        let way = self.from.iter().zip(to).map(|(a, b)| (b - a).abs()).fold(0.0, f64::max);
+        let takes = travel_s(way, &self.bounds).max(least.as_secs_f64());
+        let t = now.saturating_sub(self.began).as_secs_f64();
+        let share = if takes > 0.0 { (t / takes).min(1.0) } else { 1.0 };
+        let eased = share * share * (3.0 - 2.0 * share);
+        for ((goal, from), to) in self.goals.iter_mut().zip(&self.from).zip(to) {
+            *goal = from + eased * (to - from);
+        }
+        share >= 1.0
+    }
+
+    fn press(&mut self, to: &[f64], readings: &[Reading], now: Duration) -> bool {
+        let held = held(&self.goals, readings, &self.bounds);
+        let dt = now.saturating_sub(self.began).as_secs_f64();
+        let mut done = true;
+        for joint in 0..self.goals.len() {
+            let finger = self.fingers[joint];
+            let of_finger = |j: &usize| self.fingers[*j] == finger;
+            if (0..held.len()).filter(of_finger).any(|j| held[j]) {
+                continue;
+            }
+            let way = |j: usize| (to[j] - self.from[j]).abs();
+            let longest = (0..to.len()).filter(of_finger).map(way).fold(0.0, f64::max);
+            // A ramp up to the speed keeps to the acceleration; where a finger stops, an object stops it.
+            let speed = self.bounds.speed_rad_s.min(self.bounds.acceleration_rad_s2 * dt);
+            let step = if longest > 0.0 { speed * self.dt(now) / longest } else { 1.0 };
+            self.gone[joint] = (self.gone[joint] + step).min(1.0);
+            self.goals[joint] = self.from[joint] + self.gone[joint] * (to[joint] - self.from[joint]);
+            done &= self.gone[joint] >= 1.0;
+        }
+        done
+    }
+
+    /// Time since the last reading, seconds; a pause does not become a leap.
+    fn dt(&self, now: Duration) -> f64 {
+        self.rest.since_last(now).as_secs_f64().min(0.05)
+    }
+}
+
+/// Time of a way, seconds: the cubic's largest speed is 1.5 times its mean, its largest acceleration 6 times way over
+/// time squared.
+fn travel_s(way: f64, bounds: &Bounds) -> f64 {
+    (1.5 * way / bounds.speed_rad_s).max((6.0 * way / bounds.acceleration_rad_s2).sqrt())
+}
+
+/// Joints that something holds before their goal.
+pub(crate) fn held(goals: &[f64], readings: &[Reading], bounds: &Bounds) -> Vec<bool> {
+    goals
+        .iter()
+        .zip(readings)
+        .map(|(goal, r)| {
+            let lacks = (goal - r.position_rad).abs();
+            let still = r.velocity_rad_s.abs() < 0.1;
+            let presses = r.current_ma.abs() >= HELD_LOAD * bounds.current_ma && lacks > REST_RAD;
+            still && (lacks > bounds.held_rad || presses)
+        })
+        .collect()
+}
+
+/// Knows how long all joints have been at rest.
+#[derive(Debug, Default)]
+pub(crate) struct RestWatch {
+    there: Vec<f64>,
+    since: Duration,
+    last: Duration,
+    before: Duration,
+}
+
+impl RestWatch {
+    pub(crate) fn new() -> Self {
+        Self::default()
+    }
+
+    /// Looks at a reading; true when no joint has moved for a while.
+    pub(crate) fn look(&mut self, readings: &[Reading], now: Duration) -> bool {
+        (self.before, self.last) = (self.last, now);
+        let moved = self.there.len() != readings.len()
+            || self.there.iter().zip(readings).any(|(was, is)| (was - is.position_rad).abs() > REST_RAD);
+        if moved {
+            self.there = readings.iter().map(|r| r.position_rad).collect();
+            self.since = now;
+        }
+        !moved && now.saturating_sub(self.since) >= REST
+    }
+
+    fn since_last(&self, now: Duration) -> Duration {
+        now.saturating_sub(self.before)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const TICK: Duration = Duration::from_millis(10);
+
+    fn bounds() -> Bounds {
+        Bounds { speed_rad_s: 2.0, acceleration_rad_s2: 20.0, current_ma: 300.0, held_rad: 0.08 }
+    }
+
+    /// Joints that follow at once up to walls; goals of every tick.
+    fn run(motion: &mut Motion, walls: &[f64], most: u32) -> (Vec<Vec<f64>>, Vec<Reading>, bool) {
+        let mut readings: Vec<Reading> =
+            motion.goals().iter().map(|g| Reading { position_rad: *g, ..Reading::default() }).collect();
+        let mut goals = Vec::new();
+        for tick in 1..=most {
+            let done = motion.step(&readings, TICK * tick);
+            goals.push(motion.goals().to_vec());
+            for ((reading, goal), wall) in readings.iter_mut().zip(motion.goals()).zip(walls) {
+                let to = goal.min(*wall);
+                reading.velocity_rad_s = (to - reading.position_rad) / TICK.as_secs_f64();
+                reading.position_rad = to;
+                reading.current_ma = if to < *goal { 300.0 } else { 0.0 };
+            }
+            if done {
+                return (goals, readings, true);
+            }
+        }
+        (goals, readings, false)
+    }
+
+    #[test]
+    fn all_joints_arrive_together() {
+        let mut motion = Motion::grip(vec![0, 1], vec![0.0, 0.0], vec![1.0, -0.5], bounds(), Duration::ZERO);
+        let (goals, readings, done) = run(&mut motion, &[9.0, 9.0], 300);
+        assert!(done);
+        for goal in &goals {
+            assert!((goal[0] + 2.0 * goal[1]).abs() < 1e-12, "{goal:?}");
+        }
+        assert!((readings[0].position_rad - 1.0).abs() < 1e-12);
+        // 1.5 rad at 2 rad/s: the way takes 0.75 s, then the joints rest.
+        assert!((goals.len() as f64 * 0.01 - 0.97).abs() < 0.05, "{}", goals.len());
+    }
+
+    #[test]
+    fn a_finger_stops_where_it_is_held_and_the_other_goes_on() {
+        let far = [1.5, 1.5, 1.5];
+        let way: [&[f64]; 3] = [&[0.5, 0.5, 0.5], &[0.7, 0.7, 0.7], &far];
+        let fingers = vec![0, 0, 1];
+        let mut motion =
+            Motion::close(fingers, vec![0.0; 3], way, Duration::from_millis(400), bounds(), Duration::ZERO);
+        let (_, readings, done) = run(&mut motion, &[0.6, 9.0, 1.2], 600);
+        assert!(done);
+        let goals = motion.goals();
+        // Joint 1 is not held itself: its finger is.
+        assert!((goals[0] - 0.7).abs() < 0.05 && (goals[1] - 0.7).abs() < 0.05, "{goals:?}");
+        assert!(goals[2] > 1.2 && goals[2] < 1.35, "{goals:?}");
+        assert_eq!(held(goals, &readings, &bounds()), [true, false, true]);
+    }
+
+    #[test]
+    fn fingers_that_meet_nothing_end_at_their_farthest_position() {
+        let way: [&[f64]; 3] = [&[0.5, 0.2], &[0.7, 0.3], &[1.5, 0.4]];
+        let mut motion =
+            Motion::close(vec![0, 0], vec![0.0, 0.25], way, Duration::ZERO, bounds(), Duration::ZERO);
+        let (goals, readings, done) = run(&mut motion, &[9.0, 9.0], 600);
+        assert!(done);
+        assert!(
+            (readings[0].position_rad - 1.5).abs() < 1e-9 && (readings[1].position_rad - 0.4).abs() < 1e-9
+        );
+        // What was beyond contact did not open.
+        assert!(goals.iter().all(|g| g[1] >= 0.25 - 1e-12));
+    }
+
+    proptest! {
+        #[test]
+        fn no_motion_exceeds_its_bounds(from in -1.0..1.0f64, to in -1.0..2.0f64, squeezed in 0.0..2.0f64, farthest in 0.0..2.0f64, wall in -1.0..2.0f64) {
+            let way: [&[f64]; 3] = [&[to], &[squeezed], &[farthest]];
+            let mut motion = Motion::close(vec![0], vec![from], way, Duration::from_millis(100), bounds(), Duration::ZERO);
+            let (goals, _, done) = run(&mut motion, &[wall], 3000);
+            prop_assert!(done);
+            let mut last = from;
+            for goal in goals {
+                let speed = (goal[0] - last).abs() / TICK.as_secs_f64();
+                prop_assert!(speed <= bounds().speed_rad_s * 1.02, "{speed}");
+                last = goal[0];
+            }
+        }
+    }
+}
