@@ -1,7 +1,7 @@
 //! Planning for one hand in a prepared scene: initialize, optimize, rank.
 
 use graspd_hands::Hand;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 
 use crate::budget::{Budget, Stop};
 use crate::grasp::{EmptyReason, NoGrasp, ObjectiveTerms, Plan, PlanStats, RejectReason};
@@ -19,6 +19,9 @@ use crate::scene::{Observation, Scene};
 const LOOK_EVERY: usize = 20;
 /// Candidates that such a look judges.
 const LOOK_AT: usize = 48;
+/// Spheres keep this far from keep-out boxes, metres: the covering of a hand leaves up to its tolerance of the
+/// hand bare, and no part of the hand may be in a box.
+const KEEP_OUT_MARGIN_M: f64 = 0.004;
 
 /// Plans grasps of `hand` in `scene`.
 ///
@@ -157,7 +160,10 @@ fn obstacles<'a>(
         boxes: options
             .keep_out
             .iter()
-            .map(|k| (volume_from_world * k.world_from_box, k.half_extents_m))
+            .map(|k| {
+                let margin = Vector3::repeat(KEEP_OUT_MARGIN_M);
+                (volume_from_world * k.world_from_box, k.half_extents_m + margin)
+            })
             .collect(),
     }
 }

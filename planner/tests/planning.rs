@@ -199,6 +199,31 @@ fn the_reaching_direction_is_followed() {
     }
 }
 
+/// The outermost points of a collision shape, in its own frame.
+fn corners(shape: &graspd_hands::Shape) -> Vec<Point3<f64>> {
+    use graspd_hands::Shape;
+    let all_signs = |x: f64, y: f64, z: f64| -> Vec<Point3<f64>> {
+        (0..8)
+            .map(|k| [1, 2, 4].map(|bit| if k & bit == 0 { 1.0 } else { -1.0 }))
+            .map(|[a, b, c]| Point3::new(a * x, b * y, c * z))
+            .collect()
+    };
+    match shape {
+        Shape::Box { half_extents: h } => all_signs(h.x, h.y, h.z),
+        Shape::Cylinder { radius, half_length } => (0..32)
+            .map(|k| f64::from(k / 2) * PI / 8.0)
+            .zip([1.0, -1.0].into_iter().cycle())
+            .map(|(a, end)| Point3::new(radius * a.cos(), radius * a.sin(), end * half_length))
+            .collect(),
+        Shape::Sphere { radius } => all_signs(*radius, 0.0, 0.0)
+            .into_iter()
+            .chain(all_signs(0.0, *radius, 0.0))
+            .chain(all_signs(0.0, 0.0, *radius))
+            .collect(),
+        Shape::Mesh { vertices, .. } => vertices.clone(),
+    }
+}
+
 #[test]
 fn keep_out_boxes_stay_empty() {
     let half = Vector3::new(0.3, 0.3, 0.3);
@@ -212,6 +237,14 @@ fn keep_out_boxes_stay_empty() {
         for sphere in &hand.spheres {
             let center = grasp.world_from_hand * bodies[sphere.body] * sphere.center;
             assert!(center.x + sphere.radius <= 1e-6, "a part of the hand at x = {}", center.x);
+        }
+        // The spheres leave some millimetres of the hand bare: the hand itself stays out as well.
+        let links = hand.tree.link_poses(&bodies);
+        for shape in &hand.collision {
+            let pose = grasp.world_from_hand * links[shape.link] * shape.link_from_shape;
+            let corner =
+                corners(&shape.shape).into_iter().map(|p| (pose * p).x).fold(f64::NEG_INFINITY, f64::max);
+            assert!(corner <= 1e-3, "a corner of the hand at x = {corner}");
         }
     }
 }

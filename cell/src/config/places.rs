@@ -8,8 +8,6 @@ use crate::pose::PoseRecord;
 
 /// Height of the tray's floor in the volume, metres: room below it for noise.
 const FLOOR_IN_VOLUME_M: f64 = 0.05;
-/// Hands keep this far from the walls, metres.
-const WALL_MARGIN_M: f64 = 0.002;
 
 /// `[tray]`
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -85,7 +83,7 @@ impl TrayConfig {
         }
     }
 
-    /// The walls with 2 mm around them, where no part of a hand may be; none for a tray without walls. Walls this thin
+    /// The walls, where no part of a hand may be; none for a tray without walls. Walls this thin
     /// drown in the noise of depth edges: a frame shows them with gaps, into which fingers would come down.
     pub fn walls(&self) -> Vec<BoxRecord> {
         if self.wall_height_m <= 0.0 {
@@ -95,7 +93,7 @@ impl TrayConfig {
         let t = self.wall_m / 2.0;
         let around = |center: [f64; 2], half: [f64; 2]| BoxRecord {
             pose: PoseRecord::from(&self.pose(center[0], center[1], z)),
-            half_extents_m: [half[0], half[1], z].map(|extent| extent + WALL_MARGIN_M),
+            half_extents_m: [half[0], half[1], z],
         };
         let (along_y, along_x) = ([t, y + 2.0 * t], [x + 2.0 * t, t]);
         vec![

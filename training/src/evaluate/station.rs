@@ -21,8 +21,6 @@ use super::seeds::derive;
 const POURINGS: u64 = 5;
 /// Depth noise smears walls by about this much, metres.
 const WALL_NOISE_M: f64 = 0.008;
-/// Hands keep this far from the walls, metres.
-const WALL_MARGIN_M: f64 = 0.002;
 /// Nothing in a tray reaches higher, metres.
 const HIGHEST_M: f64 = 0.3;
 
@@ -113,11 +111,10 @@ impl Station {
     /// Boxes around the tray's walls, in which no part of a hand may be: walls this thin drown in the noise of their
     /// edges, so that a frame shows them with gaps.
     pub fn keep_out(&self) -> Vec<KeepOut> {
-        let margin = Vector3::new(WALL_MARGIN_M, WALL_MARGIN_M, WALL_MARGIN_M);
         let walls = self.world.tray.as_ref().map(Tray::walls).into_iter().flatten();
         let around = |(center, half): (Vector3<f64>, Vector3<f64>)| KeepOut {
             world_from_box: Isometry3::from_parts(center.into(), UnitQuaternion::identity()),
-            half_extents_m: half + margin,
+            half_extents_m: half,
         };
         walls.map(around).collect()
     }
