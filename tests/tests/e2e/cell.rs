@@ -5,15 +5,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use graspd_adapters_mock::{
-    After, ArmSettings, CameraSettings, Faults, HandSettings, MockArm, MockCamera, MockHand, MotionFault,
-    Mount, SharedWorld, SharedWorldSettings, Spell, StopKind,
+    After, ArmSettings, CameraSettings, FaultHandle, Faults, HandSettings, MockArm, MockCamera, MockHand,
+    MotionFault, Mount, SharedWorld, SharedWorldSettings, Spell, StopKind,
 };
 use graspd_cell::config::CellConfig;
 use graspd_cell::observer::{Event, Observer};
 use graspd_cell::outcome::{End, Holding};
 use graspd_cell::plan::PlannerClient;
 use graspd_cell::record::{read_attempts, replay};
-use graspd_cell::steps::Trouble;
+use graspd_cell::steps::{Step, Trouble};
 use graspd_cell::{Cell, clear_tray};
 use graspd_hands::library;
 use graspd_sim::camera::look_at;
@@ -51,7 +51,23 @@ impl Drop for Folder {
     }
 }
 
-async fn cell(endpoint: &str) -> (Cell, SharedWorld) {
+/// What can go wrong with the devices of a cell, while it runs.
+struct Buttons {
+    arm: FaultHandle,
+    hand: FaultHandle,
+}
+
+/// A camera that loses frames.
+fn camera_faults() -> Faults {
+    Faults { drop_share: 0.3, refused: Some(Spell::Calls(2)), ..Faults::default() }
+}
+
+/// A protective stop on the way.
+fn stop_after(metres: f64) -> Option<MotionFault> {
+    Some(MotionFault { after: After::Metres(metres), kind: StopKind::Protective })
+}
+
+async fn cell(endpoint: &str, arm_faults: Faults, hand_faults: Faults) -> (Cell, SharedWorld, Buttons) {
     let settings = WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() };
     let world = arrange(&settings, &assortment(OBJECTS, 1), Arrangement::Pile, 1).unwrap();
     let shared = SharedWorld::new(world, SharedWorldSettings::default()).unwrap();
@@ -59,28 +75,27 @@ async fn cell(endpoint: &str) -> (Cell, SharedWorld) {
     let home = Isometry3::translation(0.40, 0.0, 0.6);
     let mounted = shared.add_hand(Arc::new(hand.clone()), home, None).await.unwrap();
     let eye = look_at(&Point3::new(0.0, -0.25, 0.75), &Point3::new(0.0, 0.0, 0.02), &Vector3::z());
-    let camera_faults = Faults { drop_share: 0.3, refused: Some(Spell::Calls(2)), ..Faults::default() };
-    let stop = MotionFault { after: After::Metres(0.15), kind: StopKind::Protective };
-    let arm_faults = Faults { motion: Some(stop), ..Faults::default() };
-    let hand_faults = Faults { silent: Some(Spell::Calls(2)), ..Faults::default() };
     let mount = Mount::Fixed { world_from_camera: eye };
-    let (lens, arm) = (Sensor::azure_kinect(), ArmSettings::default());
+    let (lens, camera) = (Sensor::azure_kinect(), CameraSettings::default());
+    let arm = MockArm::new(&shared, mounted, ArmSettings::default(), arm_faults).unwrap();
+    let hand = MockHand::new(&shared, mounted, HandSettings::default(), hand_faults).await.unwrap();
+    let buttons = Buttons { arm: arm.faults(), hand: hand.faults() };
     let cell = Cell {
-        camera: Arc::new(
-            MockCamera::new(&shared, CameraSettings::default(), lens, mount, camera_faults).unwrap(),
-        ),
-        arm: Arc::new(MockArm::new(&shared, mounted, arm, arm_faults).unwrap()),
-        hand: Arc::new(MockHand::new(&shared, mounted, HandSettings::default(), hand_faults).await.unwrap()),
+        camera: Arc::new(MockCamera::new(&shared, camera, lens, mount, camera_faults()).unwrap()),
+        arm: Arc::new(arm),
+        hand: Arc::new(hand),
         planner: Arc::new(PlannerClient::new(endpoint)),
         witness: None,
     };
-    (cell, shared)
+    (cell, shared, buttons)
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_survives_faults_and_a_planner_that_is_restarted() {
     let server = TestServer::start().await;
-    let (cell, shared) = cell(&server.endpoint()).await;
+    let arm_faults = Faults { motion: stop_after(0.15), ..Faults::default() };
+    let hand_faults = Faults { silent: Some(Spell::Calls(2)), ..Faults::default() };
+    let (cell, shared, _) = cell(&server.endpoint(), arm_faults, hand_faults).await;
     let folder = Folder(std::env::temp_dir().join(format!("graspd-e2e-cell-{}", std::process::id())));
     let mut config = CellConfig::default();
     config.hand.id = "robotiq-2f85".to_owned();
@@ -126,4 +141,61 @@ async fn a_run_survives_faults_and_a_planner_that_is_restarted() {
         let again = replay(&planner, &folder.0, attempt.attempt, Duration::from_secs(60)).await.unwrap();
         assert!(again.same, "attempt {}: {:?}", attempt.attempt, again.apart);
     }
+}
+
+/// Presses a button at the first beginning of each step in which an object is in the hand, and keeps the troubles.
+struct Saboteur {
+    buttons: Buttons,
+    pressed: Vec<Step>,
+    troubles: Vec<(Step, Trouble)>,
+}
+
+impl Observer for Saboteur {
+    fn on(&mut self, event: &Event<'_>) {
+        match event {
+            Event::Trouble { step, trouble, .. } => self.troubles.push((*step, *trouble)),
+            Event::StepBegan { step, .. } if !self.pressed.contains(step) => {
+                let Buttons { arm, hand } = &self.buttons;
+                match step {
+                    Step::Lift => arm.update(|f| f.motion = stop_after(0.05)).unwrap(),
+                    Step::Carry => arm.update(|f| f.motion = stop_after(0.15)).unwrap(),
+                    Step::CheckHeld | Step::CheckDelivered | Step::Release => {
+                        hand.update(|f| f.silent = Some(Spell::Calls(1))).unwrap();
+                    }
+                    _ => return,
+                }
+                self.pressed.push(*step);
+            }
+            _ => {}
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_in_the_hand_survives_stops_and_silence() {
+    let server = TestServer::start().await;
+    let (cell, shared, buttons) = cell(&server.endpoint(), Faults::default(), Faults::default()).await;
+    let mut config = CellConfig::default();
+    config.hand.id = "robotiq-2f85".to_owned();
+    config.run.time_limit_s = 240.0;
+    let mut saboteur = Saboteur { buttons, pressed: Vec::new(), troubles: Vec::new() };
+    let report = clear_tray(&cell, &config, &mut saboteur).await.unwrap();
+    let census = shared.census().await.unwrap();
+    let told = (&report, &census, &saboteur.troubles);
+    assert_eq!(census.total(), OBJECTS, "{told:?}");
+    assert!(census.held.is_empty() && census.elsewhere.is_empty(), "{told:?}");
+    assert!(matches!(report.end, End::Empty | End::NoGrasp { .. }), "{told:?}");
+    assert_eq!(report.holding, Holding::Nothing, "{told:?}");
+    assert_eq!(report.tally.successes as usize, census.delivered.len(), "{told:?}");
+    assert!(census.delivered.len() >= 2, "{told:?}");
+    for met in [
+        (Step::Lift, Trouble::Stop),
+        (Step::CheckHeld, Trouble::NoAnswer),
+        (Step::Carry, Trouble::Stop),
+        (Step::CheckDelivered, Trouble::NoAnswer),
+        (Step::Release, Trouble::NoAnswer),
+    ] {
+        assert!(saboteur.troubles.contains(&met), "{met:?} was not met: {told:?}");
+    }
+    server.stop().await.unwrap().unwrap();
 }
