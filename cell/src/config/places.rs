@@ -174,13 +174,13 @@ mod tests {
             };
             walls.iter().filter(|wall| holds(wall)).count()
         };
-        // Inner faces are at 0.18 m, outer ones at 0.188 m, the rim is 0.03 m high, and 2 mm are around all.
+        // Inner faces are at 0.18 m, outer ones at 0.188 m, and the rim is 0.03 m high.
         for side in [1.0, -1.0] {
-            for (x, expected) in [(0.177, 0), (0.179, 1), (0.184, 1), (0.1895, 1), (0.191, 0)] {
+            for (x, expected) in [(0.179, 0), (0.181, 1), (0.184, 1), (0.187, 1), (0.189, 0)] {
                 assert_eq!(inside([side * x, 0.05, 0.015]), expected, "{x}");
                 assert_eq!(inside([0.05, side * x, 0.015]), expected, "{x}");
             }
-            assert_eq!((inside([side * 0.184, 0.0, 0.0315]), inside([side * 0.184, 0.0, 0.0325])), (1, 0));
+            assert_eq!((inside([side * 0.184, 0.0, 0.0295]), inside([side * 0.184, 0.0, 0.0305])), (1, 0));
         }
         assert_eq!(inside([0.184, 0.184, 0.0]), 2, "corners are closed");
         assert_eq!(TrayConfig { wall_height_m: 0.0, ..tray.clone() }.walls(), []);
