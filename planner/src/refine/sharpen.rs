@@ -23,17 +23,26 @@ pub fn sharpen(grid: &Grid, solid: &[bool], surface: &[SurfaceVoxel], distance_m
         return;
     }
     let mut filled: Vec<f32> = solid.iter().map(|&s| f32::from(u8::from(s))).collect();
+    let cube = Neighbour::cube(grid);
+    let voxel = grid.voxel_m() as f32;
     let mut near = vec![false; grid.len()];
     for s in surface.iter().filter(|s| (s.index as usize) < grid.len()) {
-        filled[s.index as usize] = s.filled.clamp(0.0, 1.0);
-        around(grid, s.index as usize, |i, _| near[i] = true);
+        let told = s.filled.clamp(0.0, 1.0);
+        if told == std::mem::replace(&mut filled[s.index as usize], told) {
+            continue;
+        }
+        around(grid, &cube, s.index as usize, |i, _| {
+            near[i] = true;
+            true
+        });
     }
-    let voxel = grid.voxel_m() as f32;
-    let near: Vec<usize> = (0..near.len()).filter(|&i| near[i]).collect();
+    // Whole voxels are off by less than one voxel: what is farther by that keeps its distance anyway.
+    let farthest = (FAR + 1.0) * voxel;
+    let near: Vec<usize> = (0..near.len()).filter(|&i| near[i] && distance_m[i].abs() < farthest).collect();
     let corrected: Vec<f32> = near
         .par_iter()
         .map(|&i| {
-            let exact = to_surface(grid, &filled, i);
+            let exact = to_surface(grid, &cube, &filled, i);
             let weight = ((FAR - exact.abs()) / (FAR - NEAR)).clamp(0.0, 1.0);
             let whole = distance_m[i];
             if exact.is_finite() { whole + weight * (exact * voxel - whole) } else { whole }
@@ -46,33 +55,65 @@ pub fn sharpen(grid: &Grid, solid: &[bool], surface: &[SurfaceVoxel], distance_m
 
 /// Signed distance of a voxel's centre to the surface, voxels, from the voxels around it; infinite where those are
 /// all full or all empty.
-fn to_surface(grid: &Grid, filled: &[f32], index: usize) -> f32 {
+fn to_surface(grid: &Grid, cube: &[Neighbour], filled: &[f32], index: usize) -> f32 {
     let own = filled[index];
     if own > 0.0 && own < 1.0 {
         return 0.5 - own;
     }
     let mut least = f32::INFINITY;
-    around(grid, index, |i, apart| {
+    around(grid, cube, index, |i, apart| {
         // What is missing to a voxel of the other kind, from half a voxel before its centre to half behind.
         let other = if own == 0.0 { filled[i] } else { 1.0 - filled[i] };
         if other > 0.0 {
             least = least.min(apart + 0.5 - other);
         }
+        // Those that follow are at least as far apart.
+        apart - 0.5 < least
     });
     if own == 0.0 { least } else { -least }
 }
 
-/// Calls with every voxel of the cube about one, and how far apart their centres are, voxels.
-fn around(grid: &Grid, index: usize, mut visit: impl FnMut(usize, f32)) {
+/// A voxel relative to another.
+#[derive(Debug, Clone, Copy)]
+struct Neighbour {
+    offset: [isize; 3],
+    /// Difference of the memory indices.
+    stride: isize,
+    /// Distance of the centres, voxels.
+    apart: f32,
+}
+
+impl Neighbour {
+    /// The voxels of the cube about one, nearest first.
+    fn cube(grid: &Grid) -> Vec<Self> {
+        let (n, reach) = (grid.resolution as isize, REACH as isize);
+        let range = || -reach..=reach;
+        let offsets = range().flat_map(|x| range().flat_map(move |y| range().map(move |z| [x, y, z])));
+        let mut all: Vec<Self> = offsets
+            .map(|offset| {
+                let [x, y, z] = offset;
+                let apart = ((x * x + y * y + z * z) as f32).sqrt();
+                Self { offset, stride: (x * n + y) * n + z, apart }
+            })
+            .collect();
+        all.sort_by(|a, b| a.apart.total_cmp(&b.apart));
+        all
+    }
+}
+
+/// Calls with every voxel of the cube about one, and how far apart their centres are, voxels; nearest first, until
+/// told to stop.
+fn around(grid: &Grid, cube: &[Neighbour], index: usize, mut visit: impl FnMut(usize, f32) -> bool) {
     let n = grid.resolution;
-    let [xs, ys, zs] = grid.voxel(index).map(|c| (c, c.saturating_sub(REACH)..(c + REACH + 1).min(n)));
-    let square = |a: usize, b: usize| a.abs_diff(b).pow(2);
-    for x in xs.1.clone() {
-        for y in ys.1.clone() {
-            let flat = square(x, xs.0) + square(y, ys.0);
-            for z in zs.1.clone() {
-                visit(grid.index(x, y, z), ((flat + square(z, zs.0)) as f32).sqrt());
-            }
+    let voxel = grid.voxel(index);
+    let inside = voxel.iter().all(|&c| c >= REACH && c + REACH < n);
+    for neighbour in cube {
+        let within = |(c, d): (&usize, &isize)| c.checked_add_signed(*d).is_some_and(|c| c < n);
+        if !inside && !voxel.iter().zip(&neighbour.offset).all(within) {
+            continue;
+        }
+        if !visit(index.wrapping_add_signed(neighbour.stride), neighbour.apart) {
+            return;
         }
     }
 }
