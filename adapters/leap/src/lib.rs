@@ -5,7 +5,7 @@
 //! Calls send it orders and wait; a call that is given up stops the fingers, not the task.
 //!
 //! - [`joints`]: names, addresses and limits of the joints; radians to pulses.
-//! - [`settings`]: what `[hand.settings]` of `cell.toml` says.
+//! - [`settings`]: the settings, as a table that a configuration file can hold.
 //! - [`bus`]: exchanges with motors, their retries and their errors.
 //! - `motion`: where the fingers are told to go from moment to moment; no I/O.
 //! - `driver`: the task; [`LeapHand`]: its callers.

@@ -1,4 +1,4 @@
-//! What `[hand.settings]` of `cell.toml` says about a LEAP Hand.
+//! Settings of a LEAP Hand, as a table that a configuration file can hold. `cell.toml` does not know this adapter yet.
 //!
 //! ```toml
 //! [hand]

@@ -5,7 +5,7 @@
 //! fingers move, and a few times a second else, so that the gripper knows that somebody is there. Calls send it orders
 //! and wait; a call that is given up stops the fingers, not the task.
 //!
-//! - [`settings`]: what `[hand.settings]` of `cell.toml` says.
+//! - [`settings`]: the settings, as a table that a configuration file can hold.
 //! - [`wire`]: requests and status as bytes of the gripper's registers; faults by name.
 //! - [`calibration`]: counts of the gripper, metres and radians of our descriptions.
 //! - [`link`]: exchanges over any of the links.

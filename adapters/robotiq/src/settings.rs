@@ -1,4 +1,4 @@
-//! What `[hand.settings]` of `cell.toml` says about a Robotiq gripper.
+//! Settings of a Robotiq gripper, as a table that a configuration file can hold. `cell.toml` does not know this adapter yet.
 //!
 //! ```toml
 //! [hand]

@@ -1,4 +1,4 @@
-//! Settings of an arm, `[arm.settings]` of `cell.toml`.
+//! Settings of an arm, as a table that a configuration file can hold. `cell.toml` does not know this adapter yet.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};

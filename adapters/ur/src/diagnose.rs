@@ -1,4 +1,4 @@
-//! What is wrong with an arm's link, and what to do about it: for `check` commands. Nothing is moved or changed.
+//! What is wrong with an arm's link, and what to do about it: nothing is moved or changed.
 
 use std::time::Duration;
 
