@@ -76,7 +76,7 @@ impl Closer {
     }
 }
 
-fn closers(model: &HandModel<'_>) -> Vec<Closer> {
+pub(super) fn closers(model: &HandModel<'_>) -> Vec<Closer> {
     let hand = model.hand;
     let actuation = &hand.actuation;
     actuation

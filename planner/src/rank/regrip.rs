@@ -230,3 +230,96 @@ fn is_free(objective: &Objective<'_>, configuration: &Configuration, scratch: &m
         over_table && s.radius - objective.obstacles.scene(center).0 <= deepest
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point3, UnitQuaternion};
+
+    use super::*;
+    use crate::grid::Grid;
+    use crate::hand_model::HandModel;
+    use crate::objective::{Obstacles, Weights};
+    use crate::orientation::align;
+    use crate::rank::closing;
+    use crate::refine::{Cell, CenteredCentroid, FieldCells};
+
+    const GRID: Grid = Grid { resolution: 80, size_m: 0.4 };
+    const TABLE_M: f64 = 0.1;
+    /// Half of the edge of a cube that stands in the middle of the table.
+    const HALF_M: f64 = 0.03;
+
+    fn middle() -> Vector3<f64> {
+        Vector3::new(0.2, 0.2, TABLE_M + HALF_M)
+    }
+
+    /// Signed distances to the cube, and which voxels are its own.
+    fn cube() -> (Vec<f32>, Vec<u16>) {
+        let distance = |i: usize| {
+            let apart = (GRID.center(GRID.voxel(i)).coords - middle()).abs() - Vector3::repeat(HALF_M);
+            apart.map(|v| v.max(0.0)).norm() + apart.max().min(0.0)
+        };
+        let distances: Vec<f32> = (0..GRID.len()).map(|i| distance(i) as f32).collect();
+        let own = distances.iter().map(|&d| u16::from(d <= 0.0)).collect();
+        (distances, own)
+    }
+
+    /// What `regrip` makes of a hand that lies wide open over a place `beside` the cube's middle: where it began, where
+    /// it ended, how well it holds there, and how deep its lowest sphere is below the table.
+    fn regripped(id: &str, beside: Vector3<f64>) -> (Configuration, Configuration, f64, f64) {
+        let hand = graspd_hands::library::hand(id).unwrap();
+        let model = HandModel::new(hand);
+        let (distance, objects) = cube();
+        let cells = FieldCells { grid: GRID, cells: vec![Cell::default(); GRID.len()] };
+        let centroids = [CenteredCentroid {
+            position: Point3::from(middle() + beside),
+            weight: 1.0,
+            voxel_count: 1,
+            label: None,
+        }];
+        let objective = Objective {
+            model: &model,
+            cells: &cells,
+            centroids: &centroids,
+            obstacles: Obstacles {
+                grid: GRID,
+                distance: &distance,
+                objects: &objects,
+                table_m: Some(TABLE_M),
+                boxes: Vec::new(),
+            },
+            weights: Weights::default(),
+        };
+        let mut scratch = Scratch::new(&model);
+        let even = 1.0 / model.points.len() as f64;
+        scratch.contacts.share.fill(even);
+        let down = -Vector3::z();
+        let start = Configuration {
+            translation: middle() + beside - down * 0.15,
+            rotation: UnitQuaternion::from_rotation_matrix(&align(&model.approach, &down)),
+            coordinates: hand.actuation.coordinates.iter().map(|c| c.open).collect(),
+        };
+        let mut at = start.clone();
+        assert_eq!(hold(&objective, &at, &mut scratch), 0.0, "{id} touches nothing from up there");
+        regrip(&objective, &closing::closers(&model), &start, &mut at, &mut scratch);
+        let holds = hold(&objective, &at, &mut scratch);
+        objective.place_spheres(&mut scratch);
+        let spheres = model.spheres.iter().zip(&scratch.centers);
+        let below = spheres.map(|(s, c)| TABLE_M - (c.z - s.radius)).fold(f64::NEG_INFINITY, f64::max);
+        (start, at, holds, below)
+    }
+
+    #[test]
+    fn hands_whose_fingers_turn_about_knuckles_take_a_cube_that_they_lay_flat_over() {
+        for id in ["brunel", "leap", "robotiq-3f"] {
+            let (_, _, holds, below) = regripped(id, Vector3::zeros());
+            assert!(holds > 1.0, "{id}: two fingers that face each other hold: {holds}");
+            assert!(below <= 0.0, "{id} is {below} m below the table");
+        }
+    }
+
+    #[test]
+    fn a_hand_that_finds_nothing_stays_where_it_was() {
+        let (start, at, holds, _) = regripped("leap", Vector3::new(0.12, 0.0, 0.0));
+        assert_eq!((holds, at.translation, at.coordinates), (0.0, start.translation, start.coordinates));
+    }
+}

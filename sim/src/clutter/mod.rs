@@ -3,12 +3,14 @@
 //! Task 1 of the paper is five objects in a tray, Task 2 is 12 to 16 objects (Supplementary Note 7).
 
 mod assortment;
+mod fitting;
 mod footprint;
 mod packed;
 mod pile;
 mod settle;
 
 pub use assortment::assortment;
+pub use fitting::Sizes;
 pub use settle::{is_at_rest, settle};
 
 use std::sync::Arc;

@@ -13,9 +13,9 @@ use graspd_adapters_mock::{
 use graspd_cell::config::CellConfig;
 use graspd_cell::pose::pointing_down;
 use graspd_cell::witness::{Witness, Witnessed};
-use graspd_hands::library;
+use graspd_hands::{Opening, library};
 use graspd_sim::camera::look_at;
-use graspd_sim::clutter::{Arrangement, arrange, assortment};
+use graspd_sim::clutter::{Arrangement, Sizes, arrange};
 use graspd_sim::scene;
 use graspd_sim::sensor::Sensor;
 use graspd_sim::world::{ObjectId, Tray, World, WorldSettings};
@@ -27,6 +27,8 @@ use crate::hand_source;
 
 /// Simulated seconds for dropped things to fall and roll before they are counted.
 const REST_S: f64 = 0.8;
+/// However wide a hand opens, the drawn objects are household objects that lie five in a tray, metres.
+const WIDEST_OPENING_M: f64 = 0.12;
 /// Most objects that a tray is filled with.
 const MOST_OBJECTS: usize = 100;
 
@@ -36,6 +38,10 @@ const MOST_OBJECTS: usize = 100;
 struct Simulation {
     /// Number of objects.
     objects: usize,
+    /// Shortest edge that an object has at least, metres; the hand's if left out.
+    thinnest_m: Option<f64>,
+    /// Middle edge that an object has at most, metres; the hand's if left out.
+    widest_m: Option<f64>,
     /// How they are put into the tray.
     arrangement: ArrangementName,
     /// Seed of objects and arrangement.
@@ -54,6 +60,8 @@ impl Default for Simulation {
     fn default() -> Self {
         Self {
             objects: 5,
+            thinnest_m: None,
+            widest_m: None,
             arrangement: ArrangementName::Pile,
             seed: 1,
             scene: None,
@@ -61,6 +69,26 @@ impl Default for Simulation {
             speed: 0.0,
             faults: DeviceFaults::default(),
         }
+    }
+}
+
+impl Simulation {
+    /// Sizes of the objects that are drawn: what the hand can take, unless it is said.
+    fn sizes(&self, hand: &graspd_hands::Hand) -> anyhow::Result<Sizes> {
+        let opening = hand.opening.unwrap_or(Opening { min_m: 0.0, max_m: WIDEST_OPENING_M });
+        let of_hand = Sizes::between_pads(opening.min_m, opening.max_m.min(WIDEST_OPENING_M));
+        for (field, value) in [("thinnest_m", self.thinnest_m), ("widest_m", self.widest_m)] {
+            anyhow::ensure!(
+                value.is_none_or(|v| (0.0..=1.0).contains(&v)),
+                "simulation.{field}: found {}, expected 0 to 1 metres",
+                value.unwrap_or_default()
+            );
+        }
+        let or = |said: Option<f64>, own: f64| said.unwrap_or(own);
+        Ok(Sizes {
+            thinnest_m: or(self.thinnest_m, of_hand.thinnest_m),
+            widest_m: or(self.widest_m, of_hand.widest_m),
+        })
     }
 }
 
@@ -115,7 +143,8 @@ pub(super) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
     let settings = tray(config)?;
     let world = tokio::task::spawn_blocking({
         let simulation = simulation.clone();
-        move || fill(&simulation, &settings)
+        let sizes = simulation.sizes(&hand)?;
+        move || fill(&simulation, sizes, &settings)
     })
     .await??;
     let [x, y, _] = config.drop.position_m;
@@ -174,7 +203,7 @@ fn tray(config: &CellConfig) -> anyhow::Result<WorldSettings> {
     Ok(WorldSettings { tray: Some(tray), ..WorldSettings::default() })
 }
 
-fn fill(simulation: &Simulation, settings: &WorldSettings) -> anyhow::Result<World> {
+fn fill(simulation: &Simulation, sizes: Sizes, settings: &WorldSettings) -> anyhow::Result<World> {
     if let Some(path) = &simulation.scene {
         let name = path.display();
         let text = std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
@@ -189,7 +218,16 @@ fn fill(simulation: &Simulation, settings: &WorldSettings) -> anyhow::Result<Wor
         ArrangementName::Pile => Arrangement::Pile,
         ArrangementName::Packed => Arrangement::Packed,
     };
-    arrange(settings, &assortment(count, simulation.seed), how, simulation.seed).context("simulation")
+    let objects = sizes.draw(count, |round| simulation.seed.wrapping_add(round << 32));
+    anyhow::ensure!(
+        objects.len() == count,
+        "simulation.thinnest_m, simulation.widest_m: found {} to {}, expected a wider range: only {} of {count} \
+         objects fit",
+        sizes.thinnest_m,
+        sizes.widest_m,
+        objects.len()
+    );
+    arrange(settings, &objects, how, simulation.seed).context("simulation")
 }
 
 /// Tells by physics what became of the objects.
