@@ -8,7 +8,7 @@ mod packed;
 mod pile;
 mod settle;
 
-pub use assortment::assortment;
+pub use assortment::{assortment, assortment_of};
 pub use settle::{is_at_rest, settle};
 
 use std::sync::Arc;
