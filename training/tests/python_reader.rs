@@ -95,9 +95,9 @@ fn python() -> Command {
 }
 
 fn ask(script: &str, path: &Path) -> String {
-    let output = python().args(["-c", script]).arg(path).output().unwrap();
+    let output = python().args(["-c", script]).arg(path).output().expect("python runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap().trim().to_owned()
+    String::from_utf8(output.stdout).expect("text").trim().to_owned()
 }
 
 /// A folder of this test's own, removed at its end.

@@ -65,8 +65,8 @@ impl Default for Recipe {
             auto_share: 0.5,
             shift_m: 0.03,
             lift_m: 0.01,
-            places_per_cm2: 2.0,
-            places: [120, 900],
+            places_per_cm2: 10.0,
+            places: [600, 4000],
             closing_deg: 3.0,
             max_friction: 0.4,
             approaches: 8,
@@ -81,6 +81,19 @@ impl Recipe {
     pub fn for_sensor(name: &str) -> Self {
         let distance_m = if name == "pico-flexx" { [0.25, 0.7] } else { [0.45, 0.95] };
         Self { distance_m, ..Self::default() }
+    }
+
+    /// A recipe from JSON with any of its fields; those left out are as [`Recipe::for_sensor`] has them.
+    ///
+    /// # Errors
+    /// For text that is no JSON object, unknown fields and values of the wrong type.
+    pub fn from_json(text: &str, sensor: &str) -> Result<Self, serde_json::Error> {
+        let given: serde_json::Map<String, serde_json::Value> = serde_json::from_str(text)?;
+        let mut all = serde_json::to_value(Self::for_sensor(sensor))?;
+        if let Some(fields) = all.as_object_mut() {
+            fields.extend(given);
+        }
+        serde_json::from_value(all)
     }
 
     /// Checks every number.
@@ -148,6 +161,10 @@ mod tests {
         let recipe = Recipe { lift_m: 0.1 / 3.0, ..Recipe::default() };
         let text = serde_json::to_string(&recipe).unwrap();
         assert_eq!(serde_json::from_str::<Recipe>(&text).unwrap(), recipe);
-        assert!(serde_json::from_str::<Recipe>(r#"{"tray": 1}"#).is_err());
+        let partly = Recipe::from_json(r#"{"objects": [2, 3]}"#, "pico-flexx").unwrap();
+        assert_eq!(partly, Recipe { objects: [2, 3], ..Recipe::for_sensor("pico-flexx") });
+        assert_eq!(Recipe::from_json(&text, "pico-flexx").unwrap(), recipe);
+        assert!(Recipe::from_json(r#"{"tray": 1}"#, "ideal").is_err());
+        assert!(Recipe::from_json("[1]", "ideal").is_err());
     }
 }

@@ -87,7 +87,8 @@ pub(crate) fn run(args: &GenerateArgs) -> anyhow::Result<()> {
         None => Recipe::for_sensor(&args.sensor),
         Some(path) => {
             let at = || path.display().to_string();
-            serde_json::from_str(&std::fs::read_to_string(path).with_context(at)?).with_context(at)?
+            let text = std::fs::read_to_string(path).with_context(at)?;
+            Recipe::from_json(&text, &args.sensor).with_context(at)?
         }
     };
     let generator = Generator::new(GenerateSettings {

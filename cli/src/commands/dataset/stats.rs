@@ -51,7 +51,7 @@ pub(crate) fn run(args: &StatsArgs) -> anyhow::Result<()> {
     }
     write!(std::io::stdout().lock(), "{}", stats.text())?;
     let complaints = stats.complaints();
-    anyhow::ensure!(complaints.is_empty(), "the dataset is not sane:\n  {}", complaints.join("\n  "));
+    anyhow::ensure!(complaints.is_empty(), "the dataset is not sane: {}", complaints.join("; "));
     Ok(())
 }
 
