@@ -29,6 +29,7 @@ pub mod shard;
 
 // What is done with it.
 pub mod generate;
+pub mod oracle;
 pub mod picture;
 pub mod stats;
 

@@ -30,13 +30,14 @@ pub(crate) struct StatsArgs {
 pub(crate) fn run(args: &StatsArgs) -> anyhow::Result<()> {
     let shards = shards(&args.path)?;
     let mut stats = Stats::default();
+    let mut out = std::io::stdout().lock();
     let bar = ProgressBar::new(0);
     for path in &shards {
         let mut shard = super::open(path)?;
         bar.inc_length(shard.len() as u64);
         if shard.left_over() > 0 || shard.len() < shard.header().records() {
             let (found, all) = (shard.len(), shard.header().records());
-            writeln!(std::io::stderr(), "{}: unfinished, {found} of {all} views", path.display()).ok();
+            writeln!(out, "{}: unfinished, {found} of {all} views", path.display())?;
         }
         for record in 0..shard.len() {
             if record % args.every as usize == 0 {
@@ -49,7 +50,7 @@ pub(crate) fn run(args: &StatsArgs) -> anyhow::Result<()> {
     if let Some(path) = &args.json {
         write_file(path, serde_json::to_string_pretty(&stats)?.as_bytes())?;
     }
-    write!(std::io::stdout().lock(), "{}", stats.text())?;
+    write!(out, "{}", stats.text())?;
     let complaints = stats.complaints();
     anyhow::ensure!(complaints.is_empty(), "the dataset is not sane: {}", complaints.join("; "));
     Ok(())
