@@ -19,7 +19,7 @@ use tracing_subscriber::EnvFilter;
 
 use commands::{bench, demo, hands, plan, serve};
 #[cfg(feature = "sim")]
-use commands::{cell, eval};
+use commands::{cell, dataset, eval};
 
 /// Ranked grasps for any robotic hand from one depth frame, over gRPC.
 #[derive(Debug, Parser)]
@@ -38,6 +38,8 @@ enum Command {
     Bench(bench::BenchArgs),
     #[cfg(feature = "sim")]
     Cell(cell::CellArgs),
+    #[cfg(feature = "sim")]
+    Dataset(Box<dataset::DatasetArgs>),
     #[cfg(feature = "sim")]
     Eval(Box<eval::EvalArgs>),
 }
@@ -63,6 +65,8 @@ fn main() -> ExitCode {
         Command::Bench(args) => bench::run(args),
         #[cfg(feature = "sim")]
         Command::Cell(args) => cell::run(args),
+        #[cfg(feature = "sim")]
+        Command::Dataset(args) => dataset::run(args),
         #[cfg(feature = "sim")]
         Command::Eval(args) => eval::run(args),
     };

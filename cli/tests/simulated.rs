@@ -242,3 +242,83 @@ fn cell_run_records_what_cell_replay_plans_again() {
     let message = refused(&["cell", "replay", &record]);
     assert!(message.contains("timeouts.plan_s: found -1"), "{message}");
 }
+
+#[test]
+fn dataset_is_generated_goes_on_where_it_stopped_and_is_drawn_and_counted() {
+    let folder = Folder::new("dataset");
+    std::fs::write(folder.0.join("recipe.json"), r#"{"objects": [2, 3], "places": [30, 80]}"#).unwrap();
+    let (out, recipe) = (folder.at("data"), folder.at("recipe.json"));
+    let arguments = |seed| {
+        let fixed = ["dataset", "generate", "--scenes", "4", "--views", "2", "--sensor", "pico-flexx"];
+        [&fixed[..], &["--shard", "1/2", "--jobs", "2", "--seed", seed, "--recipe", &recipe, "--out", &out]]
+            .concat()
+    };
+    let done = said(&arguments("1"));
+    assert!(done.contains("contacts-00001-of-00002.gcd: 4 views of 2 scenes"), "{done}");
+    let path = folder.0.join("data/contacts-00001-of-00002.gcd");
+    let whole = std::fs::read(&path).unwrap();
+    // Interrupted in its last record.
+    std::fs::write(&path, &whole[..whole.len() - 1000]).unwrap();
+    said(&arguments("1"));
+    assert!(std::fs::read(&path).unwrap() == whole, "it did not go on to the same bytes");
+    let complaint = refused(&arguments("2"));
+    assert!(complaint.contains("made with seed 1"), "{complaint}");
+    assert!(std::fs::read(&path).unwrap() == whole, "a refused shard was changed");
+
+    let shard = path.display().to_string();
+    let picture = folder.at("sample.png");
+    let about = said(&["dataset", "look", &shard, "3", "--out", &picture]);
+    assert!(about.starts_with("scene 3, view 1: "), "{about}");
+    assert!(std::fs::read(&picture).unwrap().starts_with(b"\x89PNG"));
+    assert!(refused(&["dataset", "look", &shard, "4", "--out", &picture]).contains("record: found 4"));
+
+    let counts = folder.at("counts.json");
+    let table = said(&["dataset", "stats", &out, "--json", &counts]);
+    assert!(table.contains("scenes, views                              2, 4"), "{table}");
+    let counts = folder.json("counts.json");
+    assert!(counts["contacts"].as_u64() > Some(100) && counts["contacts_in_occupied"] == 0, "{counts}");
+    // Nothing in it: not sane.
+    std::fs::create_dir(folder.0.join("empty")).unwrap();
+    let path = folder.0.join("empty/begun.gcd");
+    let header = 16 + u32::from_le_bytes(whole[8..12].try_into().unwrap()) as usize;
+    std::fs::write(&path, &whole[..header]).unwrap();
+    assert!(refused(&["dataset", "stats", &folder.at("empty")]).contains("views: found 0"));
+    assert!(refused(&["dataset", "stats", &folder.at("nowhere")]).contains("nowhere"));
+}
+
+#[test]
+fn a_dataset_of_meshes_holds_every_fourth_out() {
+    let folder = Folder::new("dataset-meshes");
+    std::fs::create_dir(folder.0.join("meshes")).unwrap();
+    for (name, height) in [("a", 40.0), ("b", 50.0), ("c", 60.0), ("d", 70.0)] {
+        std::fs::write(folder.0.join(format!("meshes/{name}.obj")), cuboid([30.0, 50.0, height])).unwrap();
+    }
+    std::fs::write(folder.0.join("recipe.json"), r#"{"objects": [2, 2], "places": [30, 80]}"#).unwrap();
+    let (meshes, recipe) = (folder.at("meshes"), folder.at("recipe.json"));
+    for (split, names) in [("train", r#""objects":["a","b","c"]"#), ("held-out", r#""objects":["d"]"#)] {
+        let out = folder.at(split);
+        said(&[
+            "dataset",
+            "generate",
+            "--out",
+            &out,
+            "--scenes",
+            "1",
+            "--views",
+            "1",
+            "--sensor",
+            "ideal",
+            "--recipe",
+            &recipe,
+            "--meshes",
+            &meshes,
+            "--mesh-scale",
+            "0.001",
+            "--families",
+            split,
+        ]);
+        let bytes = std::fs::read(folder.0.join(split).join("contacts-00000-of-00001.gcd")).unwrap();
+        let header = String::from_utf8_lossy(&bytes[16..2000.min(bytes.len())]).into_owned();
+        assert!(header.contains(names), "{header}");
+    }
+}

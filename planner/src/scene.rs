@@ -12,7 +12,7 @@ use crate::grid::{Grid, GridError};
 use crate::options::{Region, SceneOptions, WorkspaceRequest};
 use crate::refine::{Features, refine};
 use crate::volume::{View, Volume, VoxelState};
-use crate::workspace::{Workspace, frame_points};
+use crate::workspace::{FramePoints, Workspace, frame_points};
 
 /// One observation, refined: the input of every hand's optimization.
 #[derive(Debug, Clone)]
@@ -136,32 +136,10 @@ pub fn prepare(
     budget: &dyn Budget,
 ) -> Result<Scene, SceneError> {
     let mut stages = Stages::new(budget);
-    let first = frames.first().ok_or(SceneError::NoFrames)?;
-    for (index, frame) in frames.iter().enumerate() {
-        frame.validate().map_err(|source| SceneError::Frame { index, source })?;
-    }
-    if frames.len() > 1
-        && let Some(index) = frames.iter().position(|f| f.world_from_camera.is_none())
-    {
-        return Err(SceneError::MissingPose { index, count: frames.len() });
-    }
-    validate(options)?;
-
-    let clean = |f: &Frame| clean_depth(&f.image, &CleanOptions::of_lens(&f.intrinsics));
-    let depths: Vec<Vec<f32>> = frames.iter().map(clean).collect();
-    let points = frame_points(first, &depths[0]);
-    let workspace = Workspace::place(&options.workspace, options.grid, &points);
+    let Placed { depths, points, workspace } = place(frames, options)?;
     stages.end("frame")?;
 
-    let mut volume = Volume::empty(workspace.grid, workspace.table_m);
-    volume.kind = options.volume;
-    volume.region = region_in_volume(options, &workspace);
-    let seen = frames.iter().zip(&depths);
-    let views: Vec<View<'_>> =
-        seen.map(|(frame, depth)| View::of(frame, depth, &workspace.world_from_volume)).collect();
-    for view in &views {
-        volume.integrate(view.frame, view.depth, &view.camera_from_volume);
-    }
+    let (volume, views) = fuse(frames, &depths, &workspace, options);
     let solid = volume.solid();
     let surface = volume.surface(&solid, &views);
     let objects = volume.object_groups(&solid);
@@ -191,6 +169,64 @@ pub fn prepare(
         objects,
         stages: stages.done,
     })
+}
+
+/// Frames made ready for a volume, and where it stands.
+struct Placed {
+    /// Cleaned depth images.
+    depths: Vec<Vec<f32>>,
+    /// Points of the first frame.
+    points: FramePoints,
+    workspace: Workspace,
+}
+
+/// Checks frames and options, cleans the depth images and places the volume.
+fn place(frames: &[Frame], options: &SceneOptions) -> Result<Placed, SceneError> {
+    let first = frames.first().ok_or(SceneError::NoFrames)?;
+    for (index, frame) in frames.iter().enumerate() {
+        frame.validate().map_err(|source| SceneError::Frame { index, source })?;
+    }
+    if frames.len() > 1
+        && let Some(index) = frames.iter().position(|f| f.world_from_camera.is_none())
+    {
+        return Err(SceneError::MissingPose { index, count: frames.len() });
+    }
+    validate(options)?;
+    let clean = |f: &Frame| clean_depth(&f.image, &CleanOptions::of_lens(&f.intrinsics));
+    let depths: Vec<Vec<f32>> = frames.iter().map(clean).collect();
+    let points = frame_points(first, &depths[0]);
+    let workspace = Workspace::place(&options.workspace, options.grid, &points);
+    Ok(Placed { depths, points, workspace })
+}
+
+/// The frames in one volume, and how each looked at it.
+fn fuse<'a>(
+    frames: &'a [Frame],
+    depths: &'a [Vec<f32>],
+    workspace: &Workspace,
+    options: &SceneOptions,
+) -> (Volume, Vec<View<'a>>) {
+    let mut volume = Volume::empty(workspace.grid, workspace.table_m);
+    volume.kind = options.volume;
+    volume.region = region_in_volume(options, workspace);
+    let seen = frames.iter().zip(depths);
+    let views: Vec<View<'_>> =
+        seen.map(|(frame, depth)| View::of(frame, depth, &workspace.world_from_volume)).collect();
+    for view in &views {
+        volume.integrate(view.frame, view.depth, &view.camera_from_volume);
+    }
+    (volume, views)
+}
+
+/// What [`prepare`] shows to an estimator, and no more: cleaned, placed and fused by the same code. For those who make
+/// data for estimators.
+///
+/// # Errors
+/// As [`prepare`], for frames and options that cannot be read.
+pub fn look(frames: &[Frame], options: &SceneOptions) -> Result<(Workspace, Volume), SceneError> {
+    let placed = place(frames, options)?;
+    let (volume, _) = fuse(frames, &placed.depths, &placed.workspace, options);
+    Ok((placed.workspace, volume))
 }
 
 /// A scene from a contact field that was made elsewhere, with the solid voxels that came with it.

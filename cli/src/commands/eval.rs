@@ -12,6 +12,9 @@ use graspd_hands::Hand;
 
 use crate::hand_source;
 
+pub(crate) use look::png;
+pub(crate) use objects::meshes;
+
 /// Measures grasp quality in a simulated world.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct EvalArgs {
@@ -39,7 +42,7 @@ pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
 }
 
 /// Work that is done at the same time: as asked, or one piece for every core.
-fn jobs(asked: Option<u32>) -> usize {
+pub(crate) fn jobs(asked: Option<u32>) -> usize {
     let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     asked.map_or_else(cores, |jobs| jobs as usize)
 }

@@ -4,6 +4,8 @@ pub(crate) mod args;
 pub(crate) mod bench;
 #[cfg(feature = "sim")]
 pub(crate) mod cell;
+#[cfg(feature = "sim")]
+pub(crate) mod dataset;
 pub(crate) mod demo;
 #[cfg(feature = "sim")]
 pub(crate) mod eval;

@@ -88,6 +88,17 @@ fn centroids_on_table(scene: &Scene, truth: &Isometry3<f64>, posed: bool) -> Vec
 }
 
 #[test]
+fn a_look_shows_what_an_estimator_is_shown() {
+    let frames = [cast(tilted(), &blocks(), true)];
+    let scene = run(&frames);
+    let (workspace, volume) = look(&frames, &SceneOptions::default()).unwrap();
+    assert_eq!(workspace, scene.workspace);
+    assert_eq!((&volume.tsdf, &volume.state), (&scene.volume.tsdf, &scene.volume.state));
+    assert!(volume.count(VoxelState::Surface) > 1000);
+    assert_eq!(look(&[], &SceneOptions::default()).unwrap_err(), SceneError::NoFrames);
+}
+
+#[test]
 fn every_block_gets_a_centroid_and_contacts_lie_on_sides() {
     for posed in [false, true] {
         let scene = run(&[cast(tilted(), &blocks(), posed)]);

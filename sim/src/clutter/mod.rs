@@ -9,7 +9,7 @@ mod packed;
 mod pile;
 mod settle;
 
-pub use assortment::assortment;
+pub use assortment::{assortment, assortment_of};
 pub use fitting::Sizes;
 pub use settle::{is_at_rest, settle};
 

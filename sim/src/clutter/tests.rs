@@ -22,6 +22,12 @@ fn an_assortment_has_every_family_before_any_twice() {
     assert_eq!(unique.len(), 45, "{all:?}");
     assert_eq!(assortment(4, 9), assortment(4, 9));
     assert_ne!(assortment(4, 9), assortment(4, 10));
+    use crate::object::Kind::{Mug, Nut};
+    let few: Vec<_> = assortment_of(&[Mug, Nut], 4, 5).iter().map(|o| o.name.clone()).collect();
+    for name in ["mug", "nut", "mug 2", "nut 2"] {
+        assert!(few.iter().any(|n| n == name), "{few:?}");
+    }
+    assert!(assortment_of(&[], 4, 5).is_empty());
 }
 
 #[test]

@@ -4,6 +4,19 @@ use super::config::{Amplitude, Axial, Edges, Grazing, Lateral, Range, Sensor, Sh
 use crate::camera::Pinhole;
 
 impl Sensor {
+    /// Names of the depth cameras, for [`Sensor::by_name`].
+    pub const NAMES: [&'static str; 3] = ["azure-kinect", "pico-flexx", "ideal"];
+
+    /// A depth camera by one of [`Sensor::NAMES`]; `ideal` has no faults and the lens of an Azure Kinect.
+    pub fn by_name(name: &str) -> Option<Self> {
+        match name {
+            "azure-kinect" => Some(Self::azure_kinect()),
+            "pico-flexx" => Some(Self::pico_flexx()),
+            "ideal" => Some(Self::ideal(Self::azure_kinect().lens)),
+            _ => None,
+        }
+    }
+
     /// Azure Kinect, NFOV unbinned, 640 x 576.
     pub fn azure_kinect() -> Self {
         let lens = Pinhole {

@@ -51,6 +51,15 @@ fn errors(image: &DepthImage, view: &View) -> (f64, f64, f64) {
 }
 
 #[test]
+fn every_name_is_a_sensor_that_makes_sense() {
+    for name in Sensor::NAMES {
+        Sensor::by_name(name).unwrap().check().unwrap();
+    }
+    assert_eq!(Sensor::by_name("pico-flexx"), Some(Sensor::pico_flexx()));
+    assert_eq!(Sensor::by_name("webcam"), None);
+}
+
+#[test]
 fn axial_noise_has_its_standard_deviation() {
     for sensor in [Sensor::azure_kinect(), Sensor::pico_flexx()].map(plain) {
         for (depth, albedo, specular, cos) in

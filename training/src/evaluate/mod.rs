@@ -3,7 +3,7 @@
 // What an evaluation is set up with.
 mod clock;
 mod items;
-mod seeds;
+pub(crate) mod seeds;
 mod station;
 
 // Trays cleared by every hand.

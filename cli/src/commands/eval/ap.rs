@@ -48,6 +48,10 @@ pub(crate) struct ApArgs {
     /// Contact estimator by name
     #[arg(long, value_name = "NAME")]
     estimator: Option<String>,
+    /// Plan from the contact dataset's labels of the exact scene instead: what a network that had learnt all of them
+    /// would reach
+    #[arg(long, conflicts_with = "estimator")]
+    labels: bool,
     /// Scenes at the same time; as many as there are cores if left out
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1024))]
     jobs: Option<u32>,
@@ -75,6 +79,7 @@ pub(crate) fn run(args: &ApArgs) -> anyhow::Result<()> {
         scheme: args.scheme,
         seed: args.seed,
         workers: super::jobs(args.jobs),
+        labels: args.labels,
     };
     let conditions = vec![
         format!(
@@ -90,7 +95,7 @@ pub(crate) fn run(args: &ApArgs) -> anyhow::Result<()> {
         ),
         format!(
             "contact estimator {}, {} candidates, [{}, {}] iterations",
-            estimator.name(),
+            if args.labels { "none: labels of the exact scene" } else { estimator.name() },
             args.batch,
             args.scheme.iterations,
             args.scheme.with_penetration

@@ -133,7 +133,7 @@ fn scaled(image: &RgbImage, height: usize) -> RgbImage {
 }
 
 /// A PNG file's bytes.
-fn png(image: &RgbImage) -> anyhow::Result<Vec<u8>> {
+pub(crate) fn png(image: &RgbImage) -> anyhow::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, image.width as u32, image.height as u32);
     encoder.set_color(png::ColorType::Rgb);

@@ -57,20 +57,8 @@ impl ObjectArgs {
     }
 
     fn of_folder(&self, folder: &Path, count: usize) -> anyhow::Result<(Vec<Arc<Object>>, String)> {
-        let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
-        let mut paths: Vec<PathBuf> =
-            entries.map(|entry| Ok(entry?.path())).collect::<Result<_, std::io::Error>>()?;
-        paths.retain(|p| matches!(extension(p).as_str(), "obj" | "stl"));
-        paths.sort();
-        anyhow::ensure!(
-            !paths.is_empty(),
-            "{}: found no mesh, expected files ending in .obj or .stl",
-            folder.display()
-        );
-        let options = MeshOptions { scale: self.mesh_scale, ..MeshOptions::default() };
         // No more than are grasped: cutting a mesh into convex parts takes a while.
-        let objects: Vec<Arc<Object>> =
-            paths.iter().take(count).map(|path| read(path, &options)).collect::<anyhow::Result<_>>()?;
+        let objects = meshes(folder, self.mesh_scale, count)?;
         let opening_m = narrowest_m();
         let wide = objects.iter().filter(|o| !fits(o, opening_m)).count();
         let about = format!(
@@ -81,6 +69,26 @@ impl ObjectArgs {
         );
         Ok((objects.iter().cycle().take(count).cloned().collect(), about))
     }
+}
+
+/// The objects of a folder's meshes (OBJ, STL), in the order of their names, `most` at most.
+///
+/// # Errors
+/// For a folder without meshes, and meshes that cannot be read or are no closed solids.
+pub(crate) fn meshes(folder: &Path, scale: f64, most: usize) -> anyhow::Result<Vec<Arc<Object>>> {
+    let at = || folder.display().to_string();
+    let entries = std::fs::read_dir(folder).with_context(at)?;
+    let mut paths: Vec<PathBuf> =
+        entries.map(|entry| Ok(entry?.path())).collect::<Result<_, std::io::Error>>()?;
+    paths.retain(|p| matches!(extension(p).as_str(), "obj" | "stl"));
+    paths.sort();
+    anyhow::ensure!(
+        !paths.is_empty(),
+        "{}: found no mesh, expected files ending in .obj or .stl",
+        folder.display()
+    );
+    let options = MeshOptions { scale, ..MeshOptions::default() };
+    paths.iter().take(most).map(|path| read(path, &options)).collect()
 }
 
 fn extension(path: &Path) -> String {

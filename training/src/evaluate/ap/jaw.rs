@@ -15,9 +15,9 @@ pub const HEIGHT_M: f64 = 0.02;
 /// Largest opening `D_Width`, metres (Supplementary Note 3).
 pub const MAX_WIDTH_M: f64 = 0.12;
 /// How far fingers reach behind the gripper's origin, metres.
-const BEHIND_M: f64 = 0.02;
+pub(crate) const BEHIND_M: f64 = 0.02;
 /// Thickness of a finger, and of the base that carries them, metres.
-const FINGER_M: f64 = 0.01;
+pub(crate) const FINGER_M: f64 = 0.01;
 /// With fewer points between the jaws the grasp is empty.
 const LEAST_POINTS: usize = 10;
 /// Rays from each jaw, along its depth and across its height.
@@ -72,8 +72,9 @@ impl Verdict {
     }
 }
 
-/// Judges a grasp: against all points of the scene (objects and table, world frame), then on its object.
-pub fn judge(grasp: &JawGrasp, points: &[Point3<f64>], target: &Target<'_>) -> Verdict {
+/// Number of points between the jaws before they close; `None` when a finger or the base is in the way of one. Points
+/// in the world frame, of which only those near the gripper matter.
+pub(crate) fn between(grasp: &JawGrasp, points: &[Point3<f64>]) -> Option<usize> {
     let jaw_from_world = grasp.world_from_jaw.inverse();
     let half = 0.5 * grasp.width_m;
     let mut between = 0;
@@ -86,12 +87,19 @@ pub fn judge(grasp: &JawGrasp, points: &[Point3<f64>], target: &Target<'_>) -> V
         let in_finger = along_fingers && p.y.abs() > half;
         let in_base = p.z > -BEHIND_M - FINGER_M && p.z <= -BEHIND_M;
         if in_finger || in_base {
-            return Verdict::Collision;
+            return None;
         }
         between += usize::from(along_fingers);
     }
-    if between < LEAST_POINTS {
-        return Verdict::Empty;
+    Some(between)
+}
+
+/// Judges a grasp: against all points of the scene (objects and table, world frame), then on its object.
+pub fn judge(grasp: &JawGrasp, points: &[Point3<f64>], target: &Target<'_>) -> Verdict {
+    match between(grasp, points) {
+        None => return Verdict::Collision,
+        Some(count) if count < LEAST_POINTS => return Verdict::Empty,
+        Some(_) => {}
     }
     match contacts(grasp, target) {
         None => Verdict::NoClosure,
@@ -102,7 +110,7 @@ pub fn judge(grasp: &JawGrasp, points: &[Point3<f64>], target: &Target<'_>) -> V
 }
 
 /// A point on a surface, with its normal.
-type Contact = (Point3<f64>, Unit<Vector3<f64>>);
+pub(crate) type Contact = (Point3<f64>, Unit<Vector3<f64>>);
 
 /// What two rays of one line found.
 struct Chord {
@@ -162,10 +170,16 @@ fn touching(chords: Vec<Chord>) -> Option<Chord> {
 /// Nguyen's antipodal test (1988) at each friction, from the easiest, until the first that fails: the line
 /// through both contacts lies in both friction cones. As in the benchmark the side of a normal does not count.
 fn smallest_friction(contacts: &[Contact; 2]) -> Option<f64> {
+    let worst = worst_angle(contacts)?;
+    FRICTIONS.into_iter().take_while(|mu| worst <= mu.atan()).last()
+}
+
+/// Largest angle between the line through both contacts and a normal, radians: the friction cone that force closure
+/// needs. `None` for contacts that are one.
+pub(crate) fn worst_angle(contacts: &[Contact; 2]) -> Option<f64> {
     let line = Unit::try_new(contacts[1].0 - contacts[0].0, 1e-9)?;
     let angle = |(_, normal): &Contact| line.dot(normal).abs().min(1.0).acos();
-    let worst = contacts.iter().map(angle).fold(0.0, f64::max);
-    FRICTIONS.into_iter().take_while(|mu| worst <= mu.atan()).last()
+    Some(contacts.iter().map(angle).fold(0.0, f64::max))
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use graspd_hands::Hand;
 use graspd_planner::budget::Budget as _;
 use graspd_planner::estimator::ContactEstimator;
-use graspd_planner::options::{PlanOptions, Scheme, VolumeKind};
+use graspd_planner::options::{PlanOptions, Scheme, VolumeKind, WorkspaceRequest};
 use graspd_planner::{plan, scene};
 use graspd_sim::clutter::assortment;
 use nalgebra::Point3;
@@ -16,6 +16,9 @@ use super::exact::Exact;
 use super::jaw::{JawGrasp, Verdict};
 use super::planned::jaw_grasp;
 use super::report::{ApReport, VolumeResult};
+use crate::dataset::contacts::contacts;
+use crate::dataset::oracle::Oracle;
+use crate::dataset::recipe::Recipe;
 use crate::evaluate::EvaluationError;
 use crate::evaluate::clock::Stopwatch;
 use crate::evaluate::seeds::derive;
@@ -42,6 +45,9 @@ pub struct ApSettings {
     pub seed: u64,
     /// Views at the same time, each on one thread.
     pub workers: usize,
+    /// Plan from the contact dataset's labels of the exact scene instead of an estimator's contacts: what a network that
+    /// had learnt all of them would reach.
+    pub labels: bool,
 }
 
 /// One view with one kind of volume.
@@ -149,18 +155,22 @@ fn look_around(
     let table = Station::table(&Point3::new(0.0, 0.0, 0.75));
     let world = table.poured(&objects, derive(seed, &[2]))?;
     let exact = Exact::of(&world);
+    let known = settings.labels.then(|| contacts(&world, &Recipe::default(), derive(seed, &[5])));
     let mut views = Vec::new();
     for view in 0..settings.views {
         let station = Station::table(&eye(settings.views, view));
         let frame = station.frame(&world, derive(seed, &[3, view as u64]));
         for (i, &kind) in settings.volumes.iter().enumerate() {
             let watch = Stopwatch::start();
-            let scene = scene::prepare(
-                std::slice::from_ref(&frame),
-                &station.scene_options(kind),
-                estimator,
-                &watch,
-            )?;
+            let scene_options = station.scene_options(kind);
+            let oracle = match (&known, scene_options.workspace) {
+                (Some(contacts), WorkspaceRequest::Placed { world_from_volume, .. }) => {
+                    Some(Oracle { contacts, world_from_volume })
+                }
+                _ => None,
+            };
+            let estimator = oracle.as_ref().map_or(estimator, |o| o as &dyn ContactEstimator);
+            let scene = scene::prepare(std::slice::from_ref(&frame), &scene_options, estimator, &watch)?;
             let options = PlanOptions {
                 batch: settings.batch,
                 scheme: settings.scheme,
@@ -210,6 +220,7 @@ mod tests {
             scheme: Scheme::QUICK,
             seed: 3,
             workers: 2,
+            labels: false,
         };
         let told = AtomicUsize::new(0);
         let seen = |done, all| {
@@ -233,6 +244,10 @@ mod tests {
         }
         let untimed =
             |report: ApReport| report.volumes.into_iter().map(|v| (v.precision, v.shares, v.grasps));
+        let known = ApSettings { labels: true, volumes: vec![VolumeKind::Tsdf], ..settings.clone() };
+        let known = average(&known, &Geometric, Vec::new(), &|_, _| {}).unwrap();
+        assert!(known.volumes[0].grasps >= 1.0 && known.volumes[0].precision.ap > 0.0, "{known:?}");
+        assert_ne!(known.volumes[0].precision, report.volumes[0].precision);
         let again =
             average(&ApSettings { workers: 1, ..settings }, &Geometric, Vec::new(), &|_, _| {}).unwrap();
         assert!(untimed(report).eq(untimed(again)));
@@ -250,6 +265,7 @@ mod tests {
             scheme: Scheme::QUICK,
             seed: 3,
             workers: 1,
+            labels: false,
         };
         let refused = |settings: &ApSettings| {
             average(settings, &Geometric, Vec::new(), &|_, _| {}).unwrap_err().to_string()

@@ -57,6 +57,27 @@ pub struct Hit {
     pub normal: Unit<Vector3<f64>>,
 }
 
+/// Where a line meets a triangle: the distance along its direction from the origin, negative behind it, and the
+/// triangle's normal, not of unit length (Möller and Trumbore 1997, both sides).
+pub(crate) fn meet(
+    [a, b, c]: &[Point3<f64>; 3],
+    origin: &Point3<f64>,
+    direction: &Vector3<f64>,
+) -> Option<(f64, Vector3<f64>)> {
+    let (e1, e2) = (b - a, c - a);
+    let p = direction.cross(&e2);
+    let determinant = e1.dot(&p);
+    if determinant.abs() < 1e-14 {
+        return None;
+    }
+    let s = origin - a;
+    let u = s.dot(&p) / determinant;
+    let q = s.cross(&e1);
+    let v = direction.dot(&q) / determinant;
+    let inside = u >= -1e-9 && v >= -1e-9 && u + v <= 1.0 + 1e-9;
+    inside.then(|| (e2.dot(&q) / determinant, e1.cross(&e2)))
+}
+
 /// The first triangle that a ray meets, from either side; all in the frame in which the mesh stands at `pose`.
 pub fn cast(
     mesh: &Mesh,
@@ -68,24 +89,13 @@ pub fn cast(
     let direction = pose.inverse_transform_unit_vector(direction);
     let mut first: Option<Hit> = None;
     for triangle in 0..mesh.triangles.len() {
-        let [a, b, c] = mesh.corners(triangle);
-        // Möller and Trumbore (1997), both sides.
-        let (e1, e2) = (b - a, c - a);
-        let p = direction.cross(&e2);
-        let determinant = e1.dot(&p);
-        if determinant.abs() < 1e-14 {
-            continue;
-        }
-        let s = origin - a;
-        let u = s.dot(&p) / determinant;
-        let q = s.cross(&e1);
-        let v = direction.dot(&q) / determinant;
-        let distance_m = e2.dot(&q) / determinant;
-        if u < -1e-9 || v < -1e-9 || u + v > 1.0 + 1e-9 || distance_m < 0.0 {
+        let corners = mesh.corners(triangle);
+        let Some((distance_m, normal)) = meet(&corners, &origin, &direction) else { continue };
+        if distance_m < 0.0 {
             continue;
         }
         if first.is_none_or(|f| distance_m < f.distance_m)
-            && let Some(normal) = Unit::try_new(e1.cross(&e2), 1e-18)
+            && let Some(normal) = Unit::try_new(normal, 1e-18)
         {
             first = Some(Hit { distance_m, normal: pose.rotation * normal });
         }
