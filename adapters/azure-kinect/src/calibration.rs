@@ -170,7 +170,11 @@ impl Camera {
             }
         }
         if translation_m.iter().any(|t| t.abs() > 1.0) {
-            return refuse(&field("Rt.Translation"), format!("{translation_m:?}"), "metres within the device");
+            return refuse(
+                &field("Rt.Translation"),
+                format!("{translation_m:?}"),
+                "metres within the device",
+            );
         }
         Ok(Self { model, parameters, metric_radius, rotation, translation_m })
     }

@@ -13,3 +13,17 @@ pub mod lens;
 pub mod mkv;
 pub mod mode;
 pub mod recording;
+pub mod settings;
+
+mod camera;
+mod check;
+mod frames;
+mod live;
+mod playback;
+mod sdk;
+
+pub use camera::{KinectCamera, OpenError};
+pub use check::Checked;
+pub use live::DeviceState;
+pub use sdk::ENVIRONMENT;
+pub use settings::KinectSettings;

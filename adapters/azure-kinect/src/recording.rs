@@ -138,8 +138,7 @@ impl<R: Read + Seek> Recording<R> {
         };
         let text = file.attached(&attachment, MAX_BYTES as u64)?;
         let calibration = Calibration::from_json(&text)?;
-        let period_ns =
-            if PERIODS_NS.contains(&depth.frame_ns) { depth.frame_ns } else { DEFAULT_PERIOD_NS };
+        let period_ns = if PERIODS_NS.contains(&depth.frame_ns) { depth.frame_ns } else { DEFAULT_PERIOD_NS };
         Ok(Self {
             file,
             mode,
@@ -360,7 +359,9 @@ pub(crate) mod tests {
         let Ok(mut recording) = Recording::new(Cursor::new(bytes)) else { return };
         let mut images = 0;
         // An image that is refused is passed over by the next call.
-        while images < 50 && matches!(recording.next_image(), Ok(Some(_)) | Err(RecordingError::Content { .. })) {
+        while images < 50
+            && matches!(recording.next_image(), Ok(Some(_)) | Err(RecordingError::Content { .. }))
+        {
             images += 1;
         }
     }

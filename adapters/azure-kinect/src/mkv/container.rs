@@ -291,7 +291,8 @@ impl<R: Read + Seek> Container<R> {
                 id::FILE_NAME => attachment.name = source.text(child, "an attachment's name")?,
                 id::FILE_UID => attachment.uid = source.unsigned(child, "an attachment's id")?,
                 id::FILE_DATA => {
-                    (attachment.at, attachment.length) = (child.body, child.end(end).saturating_sub(child.body));
+                    (attachment.at, attachment.length) =
+                        (child.body, child.end(end).saturating_sub(child.body));
                 }
                 _ => {}
             }
@@ -312,7 +313,9 @@ impl<R: Read + Seek> Container<R> {
                 let inner = source.element()?;
                 match inner.id {
                     id::TAG_TRACK_UID => tag.tracks.push(source.unsigned(&inner, "a tag's target")?),
-                    id::TAG_ATTACHMENT_UID => tag.attachments.push(source.unsigned(&inner, "a tag's target")?),
+                    id::TAG_ATTACHMENT_UID => {
+                        tag.attachments.push(source.unsigned(&inner, "a tag's target")?)
+                    }
                     id::TAG_NAME => tag.name = source.text(&inner, "a tag's name")?,
                     id::TAG_STRING => tag.text = source.text(&inner, "a tag's text")?,
                     _ => {}

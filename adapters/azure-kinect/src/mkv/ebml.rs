@@ -199,7 +199,13 @@ impl<R: Read + Seek> Source<R> {
     ///
     /// # Errors
     /// [`MkvError`].
-    pub fn bytes(&mut self, at: u64, length: u64, most: u64, what: &'static str) -> Result<Vec<u8>, MkvError> {
+    pub fn bytes(
+        &mut self,
+        at: u64,
+        length: u64,
+        most: u64,
+        what: &'static str,
+    ) -> Result<Vec<u8>, MkvError> {
         if length > most {
             let found = format!("{length} bytes");
             return Err(MkvError::wrong(at, what, found, &format!("at most {most} bytes")));

@@ -59,6 +59,5 @@ pub(crate) mod id {
     pub(crate) const BLOCK: u32 = 0xA1;
 
     /// Elements that stand directly in a segment: where one begins, a cluster of unknown length has ended.
-    pub(crate) const TOP: [u32; 8] =
-        [INFO, TRACKS, ATTACHMENTS, TAGS, CUES, SEEK_HEAD, CHAPTERS, CLUSTER];
+    pub(crate) const TOP: [u32; 8] = [INFO, TRACKS, ATTACHMENTS, TAGS, CUES, SEEK_HEAD, CHAPTERS, CLUSTER];
 }
