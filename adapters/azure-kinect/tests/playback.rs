@@ -1,5 +1,7 @@
 //! Recordings as a camera: in real time, as fast as asked, again and again.
 
+#![allow(clippy::unwrap_used)]
+
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 

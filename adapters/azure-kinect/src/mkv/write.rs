@@ -31,8 +31,11 @@ const TICK_NS: u64 = 1000;
 /// A recording that grows frame by frame in memory.
 #[derive(Debug, Clone)]
 pub struct Recorder {
-    head: Vec<u8>,
+    /// Information, tracks, attachments and tags: id and whole element.
+    head: Vec<(u32, Vec<u8>)>,
     clusters: Vec<u8>,
+    /// Time of each cluster, and where in `clusters` it begins.
+    times: Vec<(u64, usize)>,
     size: (usize, usize),
 }
 
@@ -40,12 +43,17 @@ impl Recorder {
     /// A recording without a frame yet.
     pub fn new(header: &Header<'_>) -> Self {
         let mut head = Vec::new();
+        let mut add = |id: u32, body: &[u8]| {
+            let mut whole = Vec::new();
+            master(&mut whole, id, body);
+            head.push((id, whole));
+        };
         let mut info = Vec::new();
         unsigned(&mut info, id::TIMECODE_SCALE, TICK_NS);
         text(&mut info, id::TITLE, "Azure Kinect");
         text(&mut info, id::MUXING_APP, "graspd");
         text(&mut info, id::WRITING_APP, "graspd");
-        master(&mut head, id::INFO, &info);
+        add(id::INFO, &info);
 
         let mut tracks = Vec::new();
         let (width, height) = header.mode.size();
@@ -64,7 +72,7 @@ impl Recorder {
             master(&mut track, id::VIDEO, &video);
             master(&mut tracks, id::TRACK_ENTRY, &track);
         }
-        master(&mut head, id::TRACKS, &tracks);
+        add(id::TRACKS, &tracks);
 
         let mut file = Vec::new();
         text(&mut file, id::FILE_NAME, "calibration.json");
@@ -73,7 +81,7 @@ impl Recorder {
         unsigned(&mut file, id::FILE_UID, FILE_UID);
         let mut attachments = Vec::new();
         master(&mut attachments, id::ATTACHED_FILE, &file);
-        master(&mut head, id::ATTACHMENTS, &attachments);
+        add(id::ATTACHMENTS, &attachments);
 
         let mut tags = Vec::new();
         tag(&mut tags, "K4A_DEPTH_TRACK", &DEPTH_UID.to_string(), Some((id::TAG_TRACK_UID, DEPTH_UID)));
@@ -84,8 +92,8 @@ impl Recorder {
         tag(&mut tags, "K4A_CALIBRATION_FILE", "calibration.json", file_target);
         tag(&mut tags, "K4A_START_OFFSET_NS", &header.start_offset_ns.to_string(), None);
         tag(&mut tags, "K4A_DEVICE_SERIAL_NUMBER", header.serial, None);
-        master(&mut head, id::TAGS, &tags);
-        Self { head, clusters: Vec::new(), size: (width, height) }
+        add(id::TAGS, &tags);
+        Self { head, clusters: Vec::new(), times: Vec::new(), size: (width, height) }
     }
 
     /// Adds a frame at a time since the file's zero. A frame of another size is not added.
@@ -101,8 +109,15 @@ impl Recorder {
             block.extend(image.iter().flat_map(|value| value.to_be_bytes()));
             element(&mut cluster, id::SIMPLE_BLOCK, &block);
         }
+        self.times.push((time_us, self.clusters.len()));
         master(&mut self.clusters, id::CLUSTER, &cluster);
         true
+    }
+
+    /// Where the element `i` of the head begins in the segment, or what comes after it.
+    fn position(&self, i: usize) -> usize {
+        let table = seek_head(&vec![(id::CUES, 0); self.head.len() + 1]).len();
+        table + self.head[..i].iter().map(|(_, element)| element.len()).sum::<usize>()
     }
 
     /// The whole file.
@@ -116,11 +131,44 @@ impl Recorder {
         unsigned(&mut ebml, 0x4285, 2);
         let mut file = Vec::new();
         master(&mut file, id::EBML, &ebml);
-        let mut segment = self.head;
-        segment.extend(self.clusters);
+        // Readers of the device's own software find everything by the table in front, and frames by the one behind.
+        let first_cluster = self.position(self.head.len());
+        let mut cues = Vec::new();
+        for (time_us, at) in &self.times {
+            let mut track = Vec::new();
+            unsigned(&mut track, 0xF7, DEPTH_NUMBER);
+            unsigned(&mut track, 0xF1, (first_cluster + at) as u64);
+            let mut point = Vec::new();
+            unsigned(&mut point, 0xB3, *time_us);
+            master(&mut point, 0xB7, &track);
+            master(&mut cues, 0xBB, &point);
+        }
+        let mut places: Vec<(u32, usize)> =
+            self.head.iter().enumerate().map(|(i, (id, _))| (*id, self.position(i))).collect();
+        places.push((id::CUES, first_cluster + self.clusters.len()));
+        let mut segment = seek_head(&places);
+        for (_, element) in &self.head {
+            segment.extend(element);
+        }
+        segment.extend(&self.clusters);
+        master(&mut segment, id::CUES, &cues);
         master(&mut file, id::SEGMENT, &segment);
         file
     }
+}
+
+/// Where in the segment elements begin. Its length depends on their number only.
+fn seek_head(places: &[(u32, usize)]) -> Vec<u8> {
+    let mut entries = Vec::new();
+    for (id, at) in places {
+        let mut entry = Vec::new();
+        element(&mut entry, 0x53AB, &id.to_be_bytes());
+        unsigned(&mut entry, 0x53AC, *at as u64);
+        master(&mut entries, 0x4DBB, &entry);
+    }
+    let mut table = Vec::new();
+    master(&mut table, id::SEEK_HEAD, &entries);
+    table
 }
 
 fn bitmap_header(width: usize, height: usize) -> Vec<u8> {

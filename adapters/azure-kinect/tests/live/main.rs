@@ -1,6 +1,8 @@
 //! A live device, through a stand-in of the manufacturer's library that is built here with the C compiler: a library boundary
 //! like the real one, with faults on request.
 
+#![allow(clippy::unwrap_used)]
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
