@@ -1,34 +1,23 @@
 //! The camera as its callers see it.
 
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use async_trait::async_trait;
 use graspd_adapters_core::feed::{Feed, FeedCounts};
+use graspd_adapters_core::streaming::{self, Control};
 use graspd_adapters_core::{CameraInfo, DepthCamera, DepthFrame, DeviceError};
 use tokio::sync::oneshot;
 
 use crate::check::{self, Checked};
 use crate::live::{DeviceState, Live};
-use crate::playback::Playback;
+use crate::playback::{Asked, Playback};
 use crate::recording::{Recording, RecordingError};
 use crate::settings::{KinectSettings, Pace, SettingsError, Source};
 
-/// Orders that wait for the thread at most.
-const ORDERS: usize = 32;
-
-/// What callers ask of the thread.
-pub(crate) enum Command {
-    /// Somebody waits for a frame: stream, and try at once where the device was lost.
-    Wake,
-    /// The next frame of a recording.
-    Next(oneshot::Sender<Result<DepthFrame, DeviceError>>),
-    /// Stop streaming until somebody waits again.
-    Stop(oneshot::Sender<()>),
-    /// End.
-    Quit,
-}
+/// Calls that wait for a frame of a recording at most.
+const MOST_ASKED: usize = 32;
 
 /// Why there is no camera.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -48,7 +37,9 @@ pub struct KinectCamera {
     settings: KinectSettings,
     feed: Arc<Feed>,
     state: Arc<Mutex<DeviceState>>,
-    commands: SyncSender<Command>,
+    control: Control,
+    /// Of a recording that is played as asked.
+    asked: Option<SyncSender<Asked>>,
 }
 
 impl KinectCamera {
@@ -58,9 +49,10 @@ impl KinectCamera {
     /// [`OpenError`].
     pub async fn new(settings: KinectSettings) -> Result<Self, OpenError> {
         settings.check()?;
-        let (commands, orders) = sync_channel(ORDERS);
+        let (control, orders) = streaming::channel();
         let feed = Arc::new(Feed::new(settings.name.clone()));
         let state = Arc::new(Mutex::new(DeviceState::default()));
+        let mut asked = None;
         let (mode, frame_rate_hz) = match &settings.source {
             Source::Device(device) => {
                 let live = Live::new(settings.name.clone(), device.clone(), feed.clone(), state.clone());
@@ -74,12 +66,22 @@ impl KinectCamera {
                 let open = tokio::task::spawn_blocking(move || {
                     let recording = Recording::open(&path)?;
                     let about = (recording.mode(), recording.period(), recording.serial().map(str::to_owned));
-                    Ok::<_, RecordingError>((Playback::new(name, recording, pace, repeat)?, about))
+                    Ok::<_, RecordingError>((Playback::new(name, recording, repeat)?, about))
                 });
                 let ended = |_| RecordingError::Open { path: shown, detail: "reading it ended early".into() };
                 let (playback, (mode, period, serial)) = open.await.map_err(ended)??;
                 state.lock().unwrap_or_else(PoisonError::into_inner).serial = serial;
-                play(playback, orders, feed.clone());
+                match pace {
+                    Pace::AsAsked => {
+                        let (sender, receiver) = sync_channel(MOST_ASKED);
+                        asked = Some(sender);
+                        thread(move || playback.serve(&receiver));
+                    }
+                    Pace::RealTime => {
+                        let feed = feed.clone();
+                        thread(move || playback.stream(&orders, &feed));
+                    }
+                }
                 (mode, 1.0 / period.as_secs_f64())
             }
         };
@@ -92,7 +94,7 @@ impl KinectCamera {
             frame_rate_hz,
             range_m: mode.range_m(),
         };
-        Ok(Self { info, settings, feed, state, commands })
+        Ok(Self { info, settings, feed, state, control, asked })
     }
 
     /// Frames that came, exposures that were lost, times that the device was not reached. A recording that is played as
@@ -108,18 +110,20 @@ impl KinectCamera {
 
     /// Begins to stream before somebody waits for a frame: a device needs a second or two.
     pub fn start(&self) {
-        // A full queue is one that wakes the thread anyway.
-        let _full = self.commands.try_send(Command::Wake);
+        if self.asked.is_none() {
+            self.control.wake(&self.feed);
+        }
     }
 
     /// Stops streaming: the illumination goes off, a recording pauses. The next capture begins again.
     ///
     /// # Errors
-    /// [`DeviceError::Timeout`] when the library does not return in time, [`DeviceError::Busy`].
+    /// [`DeviceError::Timeout`] when the library does not return in time, [`DeviceError::Disconnected`].
     pub async fn stop(&self, timeout: Duration) -> Result<(), DeviceError> {
-        let (done, answer) = oneshot::channel();
-        self.order(Command::Stop(done))?;
-        self.bounded("stop", timeout, answer).await
+        if self.asked.is_some() {
+            return Ok(());
+        }
+        self.control.stop(&self.info.name, timeout).await
     }
 
     /// What is wrong with the camera and what to do about it. A device begins to stream for it.
@@ -143,31 +147,17 @@ impl KinectCamera {
         found
     }
 
-    fn order(&self, command: Command) -> Result<(), DeviceError> {
-        self.commands.try_send(command).map_err(|error| {
-            let device = self.info.name.clone();
-            match error {
-                TrySendError::Full(_) => DeviceError::Busy { device, with: "earlier calls".into() },
-                TrySendError::Disconnected(_) => {
-                    DeviceError::Disconnected { device, detail: "its thread has ended".into() }
-                }
-            }
-        })
-    }
-
-    async fn bounded<T>(
-        &self,
-        operation: &'static str,
-        timeout: Duration,
-        answer: oneshot::Receiver<T>,
-    ) -> Result<T, DeviceError> {
+    async fn ask(&self, asked: &SyncSender<Asked>, timeout: Duration) -> Result<DepthFrame, DeviceError> {
         let device = || self.info.name.clone();
+        let ended = || DeviceError::Disconnected { device: device(), detail: "its thread has ended".into() };
+        let (reply, answer) = oneshot::channel();
+        asked.try_send(reply).map_err(|error| match error {
+            TrySendError::Full(_) => DeviceError::Busy { device: device(), with: "earlier calls".into() },
+            TrySendError::Disconnected(_) => ended(),
+        })?;
         match tokio::time::timeout(timeout, answer).await {
-            Ok(Ok(answer)) => Ok(answer),
-            Ok(Err(_)) => {
-                Err(DeviceError::Disconnected { device: device(), detail: "its thread has ended".into() })
-            }
-            Err(_) => Err(DeviceError::Timeout { device: device(), operation, after: timeout }),
+            Ok(answer) => answer.map_err(|_| ended())?,
+            Err(_) => Err(DeviceError::Timeout { device: device(), operation: "capture", after: timeout }),
         }
     }
 }
@@ -181,17 +171,6 @@ fn thread(work: impl FnOnce() + Send + 'static) {
     }
 }
 
-fn play(playback: Playback, orders: Receiver<Command>, feed: Arc<Feed>) {
-    thread(move || playback.run(&orders, &feed));
-}
-
-impl Drop for KinectCamera {
-    fn drop(&mut self) {
-        // Where the queue is full, the thread ends when it finds its other end gone.
-        let _full = self.commands.try_send(Command::Quit);
-    }
-}
-
 #[async_trait]
 impl DepthCamera for KinectCamera {
     fn info(&self) -> CameraInfo {
@@ -199,18 +178,9 @@ impl DepthCamera for KinectCamera {
     }
 
     async fn capture(&self, max_age: Duration, timeout: Duration) -> Result<DepthFrame, DeviceError> {
-        if let Source::Recording(recording) = &self.settings.source
-            && recording.pace == Pace::AsAsked
-        {
-            let (reply, answer) = oneshot::channel();
-            self.order(Command::Next(reply))?;
-            return self.bounded("capture", timeout, answer).await?;
+        match &self.asked {
+            Some(asked) => self.ask(asked, timeout).await,
+            None => self.feed.next(max_age, timeout, || self.start()).await,
         }
-        let wake = || {
-            if let Err(error @ DeviceError::Disconnected { .. }) = self.order(Command::Wake) {
-                self.feed.fail(error);
-            }
-        };
-        self.feed.next(max_age, timeout, wake).await
     }
 }

@@ -1,26 +1,21 @@
 //! A live device as a source of frames, on a thread of its own: the manufacturer's library blocks.
 
 use std::path::PathBuf;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use graspd_adapters_core::feed::Feed;
-use graspd_adapters_core::stamps::DeviceClock;
+use graspd_adapters_core::stamps::{DeviceClock, ExposureCounter};
+use graspd_adapters_core::streaming::{self, Ended, Order, Orders};
 use graspd_adapters_core::{DeviceError, Lens};
 
 use crate::calibration::Calibration;
-use crate::camera::Command;
-use crate::frames::{Counter, frame};
+use crate::frames::frame;
 use crate::sdk::{self, Configuration, Device, Sdk, SdkError};
 use crate::settings::DeviceSettings;
 
 /// How long the library waits for a frame at a time: so soon an order is obeyed.
 const POLL: Duration = Duration::from_millis(100);
-/// Tries to reach a device are at least so far apart, whoever asks.
-const LEAST_PAUSE: Duration = Duration::from_millis(50);
-/// The pause between tries grows up to so many times the first.
-const MOST_PAUSES: u32 = 16;
 
 /// What is known of the device.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -42,14 +37,7 @@ pub(crate) struct Live {
     feed: Arc<Feed>,
     state: Arc<Mutex<DeviceState>>,
     sdk: Option<Arc<Sdk>>,
-    counter: Counter,
-}
-
-/// How streaming ended.
-enum Ended {
-    Quit,
-    Stopped,
-    Lost(DeviceError),
+    counter: ExposureCounter,
 }
 
 impl Live {
@@ -60,62 +48,21 @@ impl Live {
         state: Arc<Mutex<DeviceState>>,
     ) -> Self {
         let period = Duration::from_secs_f64(1.0 / f64::from(settings.frames_per_second.hz()));
-        Self { name, settings, feed, state, sdk: None, counter: Counter::new(period) }
+        Self { name, settings, feed, state, sdk: None, counter: ExposureCounter::new(period) }
     }
 
-    /// Streams while somebody wants frames; reaches the device again when it was lost.
-    pub(crate) fn run(mut self, commands: &Receiver<Command>) {
-        let first_pause = Duration::from_millis(self.settings.retry_ms);
-        let mut pause = first_pause;
-        let mut wanted = false;
-        loop {
-            if !wanted {
-                match commands.recv() {
-                    Ok(Command::Wake) => wanted = true,
-                    Ok(Command::Stop(done)) => {
-                        let _unheard = done.send(());
-                    }
-                    Ok(Command::Next(_)) => {}
-                    Ok(Command::Quit) | Err(_) => return,
-                }
-                continue;
-            }
-            let before = self.feed.counts().arrived;
-            let ended = self.session(commands);
+    /// Streams while somebody looks; reaches the device again when it was lost.
+    pub(crate) fn run(mut self, orders: &Orders) {
+        let feed = self.feed.clone();
+        let retry = Duration::from_millis(self.settings.retry_ms);
+        streaming::run(&feed, orders, retry, |orders| {
+            let ended = match self.begin() {
+                Ok((device, lens)) => self.stream(device, lens, orders),
+                Err(error) => Ended::Lost(error),
+            };
             self.tell(|state| state.streaming = false);
-            match ended {
-                Ended::Quit => return,
-                Ended::Stopped => {
-                    wanted = false;
-                    pause = first_pause;
-                }
-                Ended::Lost(error) => {
-                    tracing::warn!(device = self.name, "{error}");
-                    if self.feed.counts().arrived > before {
-                        pause = first_pause;
-                    }
-                    self.feed.fail(error);
-                    std::thread::sleep(LEAST_PAUSE);
-                    match commands.recv_timeout(pause) {
-                        Ok(Command::Quit) | Err(RecvTimeoutError::Disconnected) => return,
-                        Ok(Command::Stop(done)) => {
-                            wanted = false;
-                            let _unheard = done.send(());
-                        }
-                        // Somebody waits: try at once.
-                        Ok(Command::Wake | Command::Next(_)) => {}
-                        Err(RecvTimeoutError::Timeout) => pause = (pause * 2).min(first_pause * MOST_PAUSES),
-                    }
-                }
-            }
-        }
-    }
-
-    fn session(&mut self, commands: &Receiver<Command>) -> Ended {
-        match self.begin() {
-            Ok((device, lens)) => self.stream(device, lens, commands),
-            Err(error) => Ended::Lost(error),
-        }
+            ended
+        });
     }
 
     /// A device that streams, and its lens.
@@ -179,24 +126,19 @@ impl Live {
         Err(self.disconnected(detail))
     }
 
-    fn stream(&mut self, mut device: Device, lens: Lens, commands: &Receiver<Command>) -> Ended {
+    fn stream(&mut self, mut device: Device, lens: Lens, orders: &Orders) -> Ended {
         self.tell(|state| state.streaming = true);
         let silence = Duration::from_millis(self.settings.silence_ms);
         let mut clock = DeviceClock::new(self.settings.latency());
         let mut last = Instant::now();
         loop {
-            loop {
-                match commands.try_recv() {
-                    Ok(Command::Wake | Command::Next(_)) => {}
-                    Ok(Command::Stop(done)) => {
-                        drop(device);
-                        self.tell(|state| state.streaming = false);
-                        let _unheard = done.send(());
-                        return Ended::Stopped;
-                    }
-                    Ok(Command::Quit) | Err(TryRecvError::Disconnected) => return Ended::Quit,
-                    Err(TryRecvError::Empty) => break,
+            match orders.look() {
+                Some(Order::Stop(done)) => {
+                    drop(device);
+                    return Ended::Stopped(done);
                 }
+                Some(Order::Quit) => return Ended::Quit,
+                Some(Order::Wake) | None => {}
             }
             match device.capture(POLL) {
                 Ok(Some(image)) => {

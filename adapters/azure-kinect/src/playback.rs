@@ -1,25 +1,28 @@
 //! Recordings as a source of frames, on a thread of their own.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use graspd_adapters_core::feed::Feed;
+use graspd_adapters_core::stamps::ExposureCounter;
+use graspd_adapters_core::streaming::{Order, Orders};
 use graspd_adapters_core::{DepthFrame, DeviceError, Lens};
+use tokio::sync::oneshot;
 
-use crate::camera::Command;
-use crate::frames::{Counter, frame};
+use crate::frames::frame;
 use crate::recording::{Recording, RecordingError};
-use crate::settings::Pace;
+
+/// Where the frame goes that somebody asked for.
+pub(crate) type Asked = oneshot::Sender<Result<DepthFrame, DeviceError>>;
 
 /// A recording that is played.
 pub(crate) struct Playback {
     device: String,
     recording: Recording,
     lens: Lens,
-    pace: Pace,
     repeat: bool,
-    counter: Counter,
+    counter: ExposureCounter,
     /// Device time that earlier rounds took: stamps go on rising.
     rounds: Duration,
     last: Option<Duration>,
@@ -31,19 +34,13 @@ pub(crate) struct Playback {
 }
 
 impl Playback {
-    pub(crate) fn new(
-        device: String,
-        recording: Recording,
-        pace: Pace,
-        repeat: bool,
-    ) -> Result<Self, RecordingError> {
+    pub(crate) fn new(device: String, recording: Recording, repeat: bool) -> Result<Self, RecordingError> {
         let lens = recording.lens().to_frame()?;
-        let counter = Counter::new(recording.period());
+        let counter = ExposureCounter::new(recording.period());
         Ok(Self {
             device,
             recording,
             lens,
-            pace,
             repeat,
             counter,
             rounds: Duration::ZERO,
@@ -54,49 +51,34 @@ impl Playback {
         })
     }
 
-    /// Plays until nobody wants frames any more.
-    pub(crate) fn run(mut self, commands: &Receiver<Command>, feed: &Arc<Feed>) {
-        match self.pace {
-            Pace::AsAsked => self.serve(commands),
-            Pace::RealTime => self.stream(commands, feed),
-        }
-    }
-
-    fn serve(&mut self, commands: &Receiver<Command>) {
-        while let Ok(command) = commands.recv() {
-            match command {
-                Command::Quit => return,
-                Command::Wake => {}
-                Command::Stop(done) => {
-                    let _unheard = done.send(());
-                }
-                // Who gave up already takes no frame away.
-                Command::Next(reply) if reply.is_closed() => {}
-                Command::Next(reply) => {
-                    let answer = self.next();
-                    if let Err(Ok(frame)) = reply.send(answer) {
-                        self.kept = Some(frame);
-                    }
-                }
+    /// Each who asks gets the next frame, until nobody can ask any more.
+    pub(crate) fn serve(mut self, asked: &Receiver<Asked>) {
+        while let Ok(reply) = asked.recv() {
+            // Who gave up already takes no frame away.
+            if reply.is_closed() {
+                continue;
+            }
+            let answer = self.next();
+            if let Err(Ok(frame)) = reply.send(answer) {
+                self.kept = Some(frame);
             }
         }
     }
 
-    fn stream(&mut self, commands: &Receiver<Command>, feed: &Arc<Feed>) {
+    /// Plays in real time while somebody looks, until nobody can order anything any more.
+    pub(crate) fn stream(mut self, orders: &Orders, feed: &Arc<Feed>) {
         let mut begun: Option<(Instant, Duration)> = None;
         loop {
             let Some((zero, first)) = begun else {
                 // Nothing is played before somebody looks.
-                match commands.recv() {
-                    Ok(Command::Wake) => match self.peek() {
+                match orders.wait(None) {
+                    Some(Order::Wake) => match self.peek() {
                         Ok(stamp) => begun = Some((Instant::now(), stamp)),
                         Err(error) => feed.fail(error),
                     },
-                    Ok(Command::Stop(done)) => {
-                        let _unheard = done.send(());
-                    }
-                    Ok(Command::Next(_)) => {}
-                    Ok(Command::Quit) | Err(_) => return,
+                    Some(Order::Stop(done)) => done.tell(),
+                    Some(Order::Quit) => return,
+                    None => {}
                 }
                 continue;
             };
@@ -109,18 +91,18 @@ impl Playback {
                 }
             };
             let due = zero + stamp.saturating_sub(first);
-            match commands.recv_timeout(due.saturating_duration_since(Instant::now())) {
-                Err(RecvTimeoutError::Timeout) => {
+            match orders.wait(Some(due.saturating_duration_since(Instant::now()))) {
+                None => {
                     if let Some(frame) = self.kept.take() {
                         feed.publish(frame, due);
                     }
                 }
-                Ok(Command::Stop(done)) => {
+                Some(Order::Stop(done)) => {
                     begun = None;
-                    let _unheard = done.send(());
+                    done.tell();
                 }
-                Ok(Command::Wake | Command::Next(_)) => {}
-                Ok(Command::Quit) | Err(RecvTimeoutError::Disconnected) => return,
+                Some(Order::Wake) => {}
+                Some(Order::Quit) => return,
             }
         }
     }

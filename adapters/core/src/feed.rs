@@ -83,6 +83,11 @@ impl Feed {
         });
     }
 
+    /// [`Self::fail`] with [`DeviceError::Disconnected`].
+    pub fn fail_because(&self, detail: &str) {
+        self.fail(DeviceError::Disconnected { device: self.device.clone(), detail: detail.to_owned() });
+    }
+
     /// What came so far.
     pub fn counts(&self) -> FeedCounts {
         self.board.borrow().counts

@@ -11,7 +11,8 @@
 //! - **Typed.** Every failure is a [`DeviceError`] that says what was asked, what was found, what was expected.
 //!
 //! Beside the traits stands what several cameras share: [`feed`] (frames from a camera's thread to its callers), [`stamps`]
-//! (a device's clock against ours) and [`library`] (where a vendor's library is looked for).
+//! (a device's clock against ours), [`streaming`] (a thread that streams while somebody looks, and reaches a lost device
+//! again) and [`library`] (where a vendor's library is looked for).
 //!
 //! SI units; poses as `world_from_x`, unit quaternions.
 
@@ -23,6 +24,7 @@ pub mod feed;
 mod hand;
 pub mod library;
 pub mod stamps;
+pub mod streaming;
 
 pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits, Reached};
 pub use async_trait::async_trait;

@@ -52,6 +52,31 @@ impl DeviceClock {
     }
 }
 
+/// Counts exposures by their stamps, for devices that do not: one that is two periods after the one before was two exposures
+/// later.
+#[derive(Debug, Clone)]
+pub struct ExposureCounter {
+    period: Duration,
+    last: Option<Duration>,
+    sequence: u64,
+}
+
+impl ExposureCounter {
+    /// Of a device that exposes once in this time.
+    pub fn new(period: Duration) -> Self {
+        Self { period, last: None, sequence: 0 }
+    }
+
+    /// Number of the exposure with this stamp. A clock that goes back, or far ahead, is another one.
+    pub fn count(&mut self, stamp: Duration) -> u64 {
+        let passed = self.last.replace(stamp).and_then(|last| stamp.checked_sub(last));
+        let periods = passed.map_or(1.0, |passed| passed.as_secs_f64() / self.period.as_secs_f64());
+        let by = if periods.is_finite() && periods < 1e6 { periods.round().max(1.0) as u64 } else { 1 };
+        self.sequence += by;
+        self.sequence
+    }
+}
+
 fn nanoseconds(time: Duration) -> i128 {
     i128::try_from(time.as_nanos()).unwrap_or(i128::MAX / 4)
 }
@@ -85,6 +110,15 @@ mod tests {
         assert_eq!(clock.exposed(Duration::from_secs(1), arrived), arrived);
         let later = arrived + 50 * MS;
         assert_eq!(later - clock.exposed(Duration::from_secs(1) + 33 * MS, later), 17 * MS);
+    }
+
+    #[test]
+    fn exposures_are_counted_by_their_stamps() {
+        let mut counter = ExposureCounter::new(Duration::from_micros(33_333));
+        let mut at = |us: u64| counter.count(Duration::from_micros(us));
+        assert_eq!([at(5_000_000), at(5_033_340), at(5_099_990), at(5_100_000)], [1, 2, 4, 5]);
+        // A device that was restarted, and nonsense.
+        assert_eq!([at(10), at(33_343), at(u64::MAX)], [6, 7, 8]);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! - [`ebml`]: elements and their lengths; every length is checked against what is there.
 //! - [`container`]: tracks, attachments, tags, clusters and blocks.
-//! - [`write`]: the same layout written: made-up recordings.
+//! - [`mod@write`]: the same layout written: made-up recordings.
 //!
 //! Why a reader of our own: the Rust demultiplexers at hand read no attachments, and the calibration is one.
 
