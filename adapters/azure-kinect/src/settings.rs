@@ -1,16 +1,16 @@
 //! Settings of the camera, as a table that a configuration file can hold.
 //!
 //! ```toml
-//! [camera.settings]
+//! [camera.settings.azure-kinect]
 //! name = "kinect"
 //!
-//! [camera.settings.source]
+//! [camera.settings.azure-kinect.source]
 //! kind = "device"               # or "recording"
 //! mode = "nfov_unbinned"
 //! frames_per_second = 30
 //! ```
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -138,6 +138,31 @@ impl KinectSettings {
         Self { source, ..Self::default() }
     }
 
+    /// The same camera at an address: a recording for a file that ends in `.mkv`, else the device of this serial number. What
+    /// the settings say of that kind of source stays; an empty address changes nothing.
+    pub fn with_address(mut self, address: &str) -> Self {
+        if address.is_empty() {
+            return self;
+        }
+        let is_file = Path::new(address).extension().is_some_and(|e| e.eq_ignore_ascii_case("mkv"));
+        self.source = match (self.source, is_file) {
+            (Source::Recording(source), true) => {
+                Source::Recording(RecordingSettings { path: address.into(), ..source })
+            }
+            (_, true) => {
+                Source::Recording(RecordingSettings { path: address.into(), ..RecordingSettings::default() })
+            }
+            (Source::Device(source), false) => {
+                Source::Device(DeviceSettings { serial: Some(address.to_owned()), ..source })
+            }
+            (_, false) => Source::Device(DeviceSettings {
+                serial: Some(address.to_owned()),
+                ..DeviceSettings::default()
+            }),
+        };
+        self
+    }
+
     /// Checks every value.
     ///
     /// # Errors
@@ -196,6 +221,22 @@ mod tests {
         let short: KinectSettings = toml::from_str("[source]\nkind = \"device\"\nserial = \"0001\"").unwrap();
         assert!(
             matches!(&short.source, Source::Device(d) if d.serial.as_deref() == Some("0001") && d.silence_ms == 3000)
+        );
+    }
+
+    #[test]
+    fn an_address_is_a_serial_number_or_a_recording() {
+        let slow = DeviceSettings { frames_per_second: FrameRate::Five, ..DeviceSettings::default() };
+        let slow = KinectSettings { source: Source::Device(slow), ..KinectSettings::default() };
+        let Source::Device(device) = slow.clone().with_address("000123").source else { panic!("no device") };
+        assert_eq!((device.serial.as_deref(), device.frames_per_second), (Some("000123"), FrameRate::Five));
+        let file = slow.clone().with_address("/data/a.MKV");
+        assert!(matches!(&file.source, Source::Recording(r) if r.path == Path::new("/data/a.MKV")));
+        assert_eq!(slow.clone().with_address(""), slow);
+        let repeated = KinectSettings::recording("a.mkv", Pace::AsAsked, true).with_address("b.mkv");
+        assert_eq!(repeated, KinectSettings::recording("b.mkv", Pace::AsAsked, true));
+        assert!(
+            matches!(repeated.with_address("7").source, Source::Device(d) if d.serial.as_deref() == Some("7"))
         );
     }
 

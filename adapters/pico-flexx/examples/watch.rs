@@ -1,5 +1,5 @@
 //! Watches a camera: `cargo run --example watch -- SETTINGS.toml [FRAMES]`, with the table that stands under
-//! `[camera.settings]` in a cell's file. One line for each frame: number, stamp in nanoseconds, pixels with depth, their mean in
+//! `[camera.settings.pico-flexx]` in a cell's file. One line for each frame: number, stamp in nanoseconds, pixels with depth, their mean in
 //! metres, depth of the pixel in the middle, age in milliseconds.
 
 use std::error::Error;

@@ -1,10 +1,10 @@
 //! Settings of the camera, as a table that a configuration file can hold.
 //!
 //! ```toml
-//! [camera.settings]
+//! [camera.settings.pico-flexx]
 //! name = "flexx"
 //!
-//! [camera.settings.source]
+//! [camera.settings.pico-flexx.source]
 //! kind = "royale"               # or "rosbridge"
 //! use_case = "MODE_9_10FPS_1000"
 //! ```
@@ -202,6 +202,33 @@ impl FlexxSettings {
         Duration::from_millis(self.retry_ms)
     }
 
+    /// The same camera at an address: a rosbridge server for one that begins with `ws://`, else the camera of this id, or an
+    /// `.rrf` file. What the settings say of that kind of source stays; an empty address changes nothing.
+    pub fn with_address(mut self, address: &str) -> Self {
+        if address.is_empty() {
+            return self;
+        }
+        self.source = match (self.source, address.starts_with("ws://")) {
+            (Source::Rosbridge(source), true) => {
+                Source::Rosbridge(RosbridgeSettings { url: address.to_owned(), ..source })
+            }
+            (Source::Royale(source), true) => Source::Rosbridge(RosbridgeSettings {
+                url: address.to_owned(),
+                use_case: source.use_case,
+                ..RosbridgeSettings::default()
+            }),
+            (Source::Royale(source), false) => {
+                Source::Royale(RoyaleSettings { camera: Some(address.to_owned()), ..source })
+            }
+            (Source::Rosbridge(source), false) => Source::Royale(RoyaleSettings {
+                camera: Some(address.to_owned()),
+                use_case: source.use_case,
+                ..RoyaleSettings::default()
+            }),
+        };
+        self
+    }
+
     /// Checks every value.
     ///
     /// # Errors
@@ -309,6 +336,16 @@ mod tests {
                 .unwrap();
         mixed.check().unwrap();
         assert_eq!(mixed.rate_hz(), 30.0);
+    }
+
+    #[test]
+    fn an_address_is_a_camera_or_a_server() {
+        let settings = FlexxSettings::default().with_address("ws://10.0.0.7:9090");
+        assert!(matches!(&settings.source, Source::Rosbridge(r) if r.url == "ws://10.0.0.7:9090"));
+        let back = settings.clone().with_address("0005-1203");
+        assert!(matches!(&back.source, Source::Royale(r) if r.camera.as_deref() == Some("0005-1203")));
+        assert_eq!(settings.clone().with_address(""), settings);
+        settings.check().unwrap();
     }
 
     #[test]
