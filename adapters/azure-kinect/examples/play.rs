@@ -37,7 +37,6 @@ async fn main() -> Result<(), Box<dyn Error>> {
     for finding in camera.check(LONG).await {
         println!("{finding:?}");
     }
-    let camera = KinectCamera::new(KinectSettings::recording(&file, Pace::AsAsked, false)).await?;
     println!("{:?}", camera.info());
     let mut frames = 0;
     loop {

@@ -126,7 +126,7 @@ impl KinectCamera {
         self.control.stop(&self.info.name, timeout).await
     }
 
-    /// What is wrong with the camera and what to do about it. A device begins to stream for it.
+    /// What is wrong with the camera and what to do about it. A device, or a recording in real time, begins to stream for it.
     pub async fn check(&self, timeout: Duration) -> Vec<Checked> {
         let until = tokio::time::Instant::now() + timeout;
         let settings = self.settings.clone();
@@ -141,6 +141,10 @@ impl KinectCamera {
                     "unplug the device, end other programs that use it, and check again",
                 )],
             };
+        if self.asked.is_some() {
+            // Every frame was looked at already, and none may be taken from who asks next.
+            return found;
+        }
         let left = until.saturating_duration_since(tokio::time::Instant::now());
         let frame = self.capture(Duration::from_secs(60), left).await;
         found.push(check::frame(&frame));
