@@ -10,13 +10,21 @@
 //! - **Honest.** An `Ok` means that the device said so. What was commanded is never reported as what was reached.
 //! - **Typed.** Every failure is a [`DeviceError`] that says what was asked, what was found, what was expected.
 //!
+//! Beside the traits stands what several cameras share: [`feed`] (frames from a camera's thread to its callers), [`stamps`]
+//! (a device's clock against ours), [`streaming`] (a thread that streams while somebody looks, and reaches a lost device
+//! again) and [`library`] (where a vendor's library is looked for).
+//!
 //! SI units; poses as `world_from_x`, unit quaternions.
 
 mod arm;
 mod camera;
 mod closing;
 mod error;
+pub mod feed;
 mod hand;
+pub mod library;
+pub mod stamps;
+pub mod streaming;
 
 pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits, Reached};
 pub use async_trait::async_trait;
