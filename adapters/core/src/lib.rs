@@ -10,13 +10,18 @@
 //! - **Honest.** An `Ok` means that the device said so. What was commanded is never reported as what was reached.
 //! - **Typed.** Every failure is a [`DeviceError`] that says what was asked, what was found, what was expected.
 //!
+//! [`check`] is what all adapters say of wrong settings and of devices that are not as they should be; [`task`] what hands
+//! share whose line is owned by one task.
+//!
 //! SI units; poses as `world_from_x`, unit quaternions.
 
 mod arm;
 mod camera;
+pub mod check;
 mod closing;
 mod error;
 mod hand;
+pub mod task;
 
 pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits, Reached};
 pub use async_trait::async_trait;

@@ -66,5 +66,5 @@ pub use camera::{CameraSettings, MockCamera, Mount};
 pub use fault_handle::FaultHandle;
 pub use faults::{After, Faults, FaultsError, MotionFault, Overload, Spell, Stale, StopKind};
 pub use hand::{HandSettings, MockHand};
-pub use shared::{Hold, SettingsError, SharedWorld, SharedWorldSettings, WorldEnded};
+pub use shared::{Hold, SharedWorld, SharedWorldSettings, WorldEnded};
 pub use whereabouts::{Census, ObjectView};

@@ -22,21 +22,10 @@
 //! # address = "192.168.1.10:63352"
 //! ```
 
+use graspd_adapters_core::check::{SettingsError, require, require_within as number};
 use serde::{Deserialize, Serialize};
 
 use crate::calibration::Calibration;
-
-/// Why settings are not accepted.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: found {found}, expected {expected}")]
-pub struct SettingsError {
-    /// The field.
-    pub field: String,
-    /// Found value.
-    pub found: String,
-    /// What is expected.
-    pub expected: String,
-}
 
 /// Which gripper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -245,22 +234,6 @@ impl RobotiqSettings {
         let expected = format!("least and most within 0 to {}", self.calibration().open_mm);
         require("openings_mm", format!("{least} to {most}"), ok, expected)
     }
-}
-
-fn number(field: &str, value: f64, least: f64, most: f64) -> Result<(), SettingsError> {
-    require(field, value, (least..=most).contains(&value), format!("{least} to {most}"))
-}
-
-pub(crate) fn require(
-    field: &str,
-    found: impl ToString,
-    ok: bool,
-    expected: impl Into<String>,
-) -> Result<(), SettingsError> {
-    if ok {
-        return Ok(());
-    }
-    Err(SettingsError { field: field.to_owned(), found: found.to_string(), expected: expected.into() })
 }
 
 #[cfg(test)]

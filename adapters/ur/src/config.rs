@@ -1,5 +1,6 @@
 //! Settings of an arm, as a table that a configuration file can hold. `cell.toml` does not know this adapter yet.
 
+use graspd_adapters_core::check::SettingsError;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
@@ -210,26 +211,14 @@ impl Default for UrConfig {
     }
 }
 
-/// Why settings are not accepted.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{field}: found {found}, expected {expected}")]
-pub struct ConfigError {
-    /// The field.
-    pub field: String,
-    /// Found value.
-    pub found: String,
-    /// What is expected.
-    pub expected: String,
-}
-
 impl UrConfig {
     /// Refuses what cannot be.
     ///
     /// # Errors
-    /// [`ConfigError`].
-    pub fn check(&self) -> Result<(), ConfigError> {
+    /// [`SettingsError`].
+    pub fn check(&self) -> Result<(), SettingsError> {
         let refuse = |field: &str, found: String, expected: &str| {
-            Err(ConfigError { field: field.into(), found, expected: expected.into() })
+            Err(SettingsError { field: field.into(), found, expected: expected.into() })
         };
         if self.host.trim().is_empty() {
             return refuse("host", format!("{:?}", self.host), "the controller's address");

@@ -384,7 +384,7 @@ async fn a_check_says_what_is_wrong_and_what_to_do() {
     let emulator = graspd_adapters_emulators::ur::UrEmulator::start(settings()).await.unwrap();
     let config = bench::config(&emulator);
     let findings = graspd_adapters_ur::diagnose(&config).await;
-    assert!(findings.iter().all(|f| f.good && f.remedy.is_empty()), "{findings:#?}");
+    assert!(findings.iter().all(|f| f.ok && f.advice.is_empty()), "{findings:#?}");
     assert_eq!(findings.len(), 10);
     emulator.set_remote_control(false);
     emulator.occupy("input_int_register_26", true);
@@ -392,15 +392,15 @@ async fn a_check_says_what_is_wrong_and_what_to_do() {
     let mut wrong = config.clone();
     (wrong.armed, wrong.model) = (false, graspd_adapters_ur::kinematics::Model::Ur10e);
     let findings = graspd_adapters_ur::diagnose(&wrong).await;
-    let bad: Vec<_> = findings.iter().filter(|f| !f.good).map(|f| f.what).collect();
-    assert_eq!(bad, ["remote control", "model", "registers", "safety", "armed"]);
-    assert!(findings.iter().all(|f| f.good || !f.remedy.is_empty()));
+    let bad: Vec<_> = findings.iter().filter(|f| !f.ok).map(|f| f.subject.as_str()).collect();
+    assert_eq!(bad, ["remote control", "model", "registers", "safety", "motion"]);
+    assert!(findings.iter().all(|f| f.ok || !f.advice.is_empty()));
     assert!(!emulator.snapshot().program_running);
     let mut nobody = config;
     drop(emulator);
     nobody.connect_timeout_s = 0.3;
     tokio::time::sleep(Duration::from_millis(50)).await;
     let findings = graspd_adapters_ur::diagnose(&nobody).await;
-    let bad: Vec<_> = findings.iter().filter(|f| !f.good).map(|f| f.what).collect();
+    let bad: Vec<_> = findings.iter().filter(|f| !f.ok).map(|f| f.subject.as_str()).collect();
     assert_eq!(bad, ["dashboard", "RTDE", "primary interface"]);
 }

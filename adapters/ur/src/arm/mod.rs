@@ -6,6 +6,7 @@ mod recover;
 use std::sync::Arc;
 use std::time::Duration;
 
+use graspd_adapters_core::check::SettingsError;
 use graspd_adapters_core::{
     Arm, ArmInfo, ArmMode, ArmState, DeviceError, FaultKind, Limits, Reached, async_trait,
 };
@@ -14,7 +15,7 @@ use tokio::sync::{Mutex, broadcast, mpsc, oneshot};
 use tokio::task::AbortHandle;
 use tokio::time::Instant;
 
-use crate::config::{ConfigError, UrConfig};
+use crate::config::UrConfig;
 use crate::dashboard::Dashboard;
 use crate::events::UrEvent;
 use crate::kinematics::Kinematics;
@@ -62,8 +63,8 @@ impl UrArm {
     /// Checks settings and begins to connect. Must be called inside a tokio runtime.
     ///
     /// # Errors
-    /// [`ConfigError`].
-    pub fn new(config: UrConfig) -> Result<Self, ConfigError> {
+    /// [`SettingsError`].
+    pub fn new(config: UrConfig) -> Result<Self, SettingsError> {
         config.check()?;
         let kinematics = Kinematics::new(config.model);
         let world_from_base = config.world_from_base();
