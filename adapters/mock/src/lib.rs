@@ -60,6 +60,9 @@ mod grip;
 mod hand;
 mod motion;
 
+// The world behind the wires of emulated devices.
+pub mod plants;
+
 pub use arm::{ArmSettings, MockArm};
 pub use bins::{Bin, Delivered};
 pub use camera::{CameraSettings, MockCamera, Mount};

@@ -253,6 +253,11 @@ impl SharedWorld {
         }
     }
 
+    /// True for a world that moves all the time, at its speed.
+    pub(crate) fn is_paced(&self) -> bool {
+        matches!(self.pace, Pace::Wall(_))
+    }
+
     pub(crate) fn clock(&self) -> Arc<Clock> {
         self.clock.clone()
     }

@@ -69,7 +69,7 @@ impl UrArm {
         self.servo(CommandKind::ServoJoints, "servo_joints", settings, limits, timeout).await
     }
 
-    /// Begins a stream of poses of the flange.
+    /// Begins a stream of poses of the hand.
     ///
     /// # Errors
     /// As [`graspd_adapters_core::Arm::move_to`].
@@ -204,7 +204,7 @@ impl ServoStream<'_> {
         self.emit(*target)
     }
 
-    /// Sends a pose of the flange, world frame. Call at up to 500 Hz, and at least every 0.1 s.
+    /// Sends a pose of the hand, world frame. Call at up to 500 Hz, and at least every 0.1 s.
     ///
     /// # Errors
     /// As [`ServoStream::send_joints`].
@@ -213,7 +213,7 @@ impl ServoStream<'_> {
             return Err(error);
         }
         let limits = self.arm.config().limits;
-        let target = self.arm.world_from_base.inverse() * world_from_flange;
+        let target = self.arm.base_from_flange(world_from_flange);
         let Some(joints) = self.arm.kinematics.closest(&target, &self.joints) else {
             return Err(self.arm.out_of_range("world_from_flange", target, "a pose that the arm reaches"));
         };

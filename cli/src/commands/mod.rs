@@ -5,6 +5,10 @@ pub(crate) mod bench;
 #[cfg(feature = "sim")]
 pub(crate) mod cell;
 pub(crate) mod demo;
+#[cfg(feature = "devices")]
+pub(crate) mod device;
+#[cfg(feature = "devices")]
+pub(crate) mod emulate;
 #[cfg(feature = "sim")]
 pub(crate) mod eval;
 pub(crate) mod hands;

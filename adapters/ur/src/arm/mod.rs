@@ -33,6 +33,7 @@ pub struct UrArm {
     pub(crate) orders: mpsc::UnboundedSender<Order>,
     pub(crate) kinematics: Kinematics,
     pub(crate) world_from_base: Isometry3<f64>,
+    flange_from_hand: Isometry3<f64>,
     dashboard: Dashboard,
     uploaded: Mutex<Uploaded>,
     task: AbortHandle,
@@ -68,13 +69,14 @@ impl UrArm {
         config.check()?;
         let kinematics = Kinematics::new(config.model);
         let world_from_base = config.world_from_base();
+        let flange_from_hand = config.flange_from_hand();
         let connect = Duration::from_secs_f64(config.connect_timeout_s);
         let dashboard = Dashboard::new(config.host.clone(), config.ports.dashboard, connect);
         let shared = Arc::new(Shared::new(config));
         let (orders, received) = mpsc::unbounded_channel();
         let task = tokio::spawn(run(shared.clone(), received)).abort_handle();
         let uploaded = Mutex::new(Uploaded::default());
-        Ok(Self { shared, orders, kinematics, world_from_base, dashboard, uploaded, task })
+        Ok(Self { shared, orders, kinematics, world_from_base, flange_from_hand, dashboard, uploaded, task })
     }
 
     /// Its settings.
@@ -87,10 +89,17 @@ impl UrArm {
         &self.kinematics
     }
 
-    /// True when some posture takes the flange to a pose inside the workspace.
-    pub fn reaches(&self, world_from_flange: &Isometry3<f64>) -> bool {
-        let inside = self.config().limits.workspace.contains(&world_from_flange.translation.vector);
-        inside && self.kinematics.reaches(&(self.world_from_base.inverse() * world_from_flange))
+    /// True when some posture takes the hand to a pose at which the flange is inside the workspace.
+    pub fn reaches(&self, world_from_hand: &Isometry3<f64>) -> bool {
+        let base_from_flange = self.base_from_flange(world_from_hand);
+        let flange = self.world_from_base * base_from_flange;
+        let inside = self.config().limits.workspace.contains(&flange.translation.vector);
+        inside && self.kinematics.reaches(&base_from_flange)
+    }
+
+    /// Where the flange must be for the hand to be at a pose.
+    pub(crate) fn base_from_flange(&self, world_from_hand: &Isometry3<f64>) -> Isometry3<f64> {
+        self.world_from_base.inverse() * world_from_hand * self.flange_from_hand.inverse()
     }
 
     /// The controller's dashboard.
@@ -237,7 +246,7 @@ impl Arm for UrArm {
         } else {
             ArmMode::Ready
         };
-        let world_from_flange = self.world_from_base * self.flange(&state);
+        let world_from_flange = self.world_from_base * self.flange(&state) * self.flange_from_hand;
         Ok(ArmState { mode, world_from_flange, joints: state.joints.to_vec() })
     }
 

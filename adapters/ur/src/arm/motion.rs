@@ -254,7 +254,7 @@ impl UrArm {
         if !t.iter().chain(r.iter()).all(|v| v.is_finite()) {
             return Err(self.out_of_range("world_from_flange", world_from_flange, "finite numbers"));
         }
-        Ok(self.world_from_base.inverse() * world_from_flange)
+        Ok(self.base_from_flange(world_from_flange))
     }
 
     /// Takes joints to joints, all at the same time.

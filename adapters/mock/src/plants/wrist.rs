@@ -1,0 +1,180 @@
+//! The wrist of a hand of the world as the body of an emulated arm.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+use graspd_adapters_core::check::SettingsError;
+use graspd_adapters_emulators::ur::{Plant, PlantState, PlantTarget, Six, UrModel};
+use graspd_sim::world::{HandId, World, WristForce};
+use nalgebra::{Isometry3, Vector3};
+
+use super::{require_hand, require_speed};
+use crate::shared::SharedWorld;
+use crate::stage::Process;
+
+/// Time over which the world's wrist follows the controller's targets, seconds.
+const FOLLOW_S: f64 = 0.008;
+/// How stiff the tool of an arm of this size is, newtons per metre, and with what force it follows where nothing is in
+/// its way, newtons.
+const STIFFNESS_N_M: f64 = 20_000.0;
+const FREE_N: f64 = 40.0;
+/// Time over which the force sensor of an arm smooths, seconds.
+const FORCE_S: f64 = 0.01;
+/// Joint speeds are smoothed over this time, seconds, and are none below this, radians per second.
+const SPEED_S: f64 = 0.02;
+const STANDS_RAD_S: f64 = 1e-3;
+/// A wrist that is so far from where the controller wants it has been held for long, metres: real ones stop then.
+const TOO_FAR_M: f64 = 0.05;
+
+/// How an emulated arm stands in the world and carries its hand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WristMount {
+    /// Which arm.
+    pub model: UrModel,
+    /// Where its base stands.
+    pub world_from_base: Isometry3<f64>,
+    /// How the hand's root link is mounted on its flange.
+    pub flange_from_hand: Isometry3<f64>,
+    /// Its joints where the hand is now, radians: what the emulated controller starts with.
+    pub joints: Six,
+}
+
+/// What the controller's thread and the world's thread tell each other.
+#[derive(Debug)]
+struct Line {
+    /// Where the hand should be.
+    target: Option<Isometry3<f64>>,
+    /// Where it is, and what presses on it, world frame.
+    at: Isometry3<f64>,
+    force: Vector3<f64>,
+    /// False once the hand or the world is gone.
+    alive: bool,
+}
+
+#[derive(Debug, Clone)]
+struct Held(Arc<Mutex<Line>>);
+
+impl Held {
+    fn lock(&self) -> MutexGuard<'_, Line> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A body for an emulated arm: the wrist of a hand of the world.
+#[derive(Debug)]
+pub struct WristPlant {
+    line: Held,
+    mount: WristMount,
+    q: Six,
+    qd: Six,
+}
+
+impl WristPlant {
+    /// For a hand of the world, whose wrist nobody else may move.
+    ///
+    /// # Errors
+    /// [`SettingsError`] for a world that runs on demand, a hand that is not there, joints that do not take the hand to
+    /// where it is.
+    pub async fn new(shared: &SharedWorld, hand: HandId, mount: WristMount) -> Result<Self, SettingsError> {
+        require_speed(shared)?;
+        let flange = mount.model.flange(&mount.joints);
+        let expected = mount.world_from_base * flange * mount.flange_from_hand;
+        let begun = shared.on_stage(move |stage| {
+            let at = stage.world.hand_state(hand)?.world_from_hand;
+            let line = Line { target: None, at, force: Vector3::zeros(), alive: true };
+            let line = Held(Arc::new(Mutex::new(line)));
+            stage.start(Follow {
+                line: Arc::downgrade(&line.0),
+                hand,
+                reference: at,
+                felt: WristForce::new(FORCE_S),
+            });
+            Some((line, at))
+        });
+        let (line, at) = require_hand(begun.await.ok().flatten())?;
+        let off = (at.translation.vector - expected.translation.vector).norm();
+        if !(off < 5e-3 && at.rotation.angle_to(&expected.rotation) < 5e-2) {
+            return Err(SettingsError {
+                field: "joints".into(),
+                found: format!(
+                    "{:?}, which takes the hand {:.1} mm beside where it is",
+                    mount.joints,
+                    1e3 * off
+                ),
+                expected: "the posture in which the arm holds the hand".into(),
+            });
+        }
+        Ok(Self { line, mount, q: mount.joints, qd: [0.0; 6] })
+    }
+}
+
+impl Plant for WristPlant {
+    fn step(&mut self, target: &PlantTarget) -> PlantState {
+        let mount = &self.mount;
+        let wanted = mount.world_from_base * target.base_from_flange * mount.flange_from_hand;
+        let (at, force, alive) = {
+            let mut line = self.line.lock();
+            line.target = Some(wanted);
+            (line.at, line.force, line.alive)
+        };
+        let base_from_flange = mount.world_from_base.inverse() * at * mount.flange_from_hand.inverse();
+        // Near a singularity no posture may be found: then the last one stands.
+        let q = mount.model.joints(&base_from_flange, &self.q).unwrap_or(self.q);
+        let blend = (target.dt_s / SPEED_S).min(1.0);
+        for ((now, before), qd) in q.iter().zip(&self.q).zip(&mut self.qd) {
+            let speed = (now - before) / target.dt_s.max(1e-6);
+            *qd += (speed - *qd) * blend;
+        }
+        self.q = q;
+        let base = mount.world_from_base.rotation.inverse() * force;
+        let far = (at.translation.vector - wanted.translation.vector).norm();
+        let protective_stop = if !alive {
+            Some("the simulated world has ended".to_owned())
+        } else if far > TOO_FAR_M {
+            Some(format!("the arm is held {:.0} mm from where it should be", 1e3 * far))
+        } else {
+            None
+        };
+        let qd = self.qd.map(|v| if v.abs() < STANDS_RAD_S { 0.0 } else { v });
+        PlantState { q, qd, wrench: [base.x, base.y, base.z, 0.0, 0.0, 0.0], protective_stop }
+    }
+}
+
+/// Leads the wrist after each step of the world; ends with the plant.
+struct Follow {
+    line: Weak<Mutex<Line>>,
+    hand: HandId,
+    reference: Isometry3<f64>,
+    felt: WristForce,
+}
+
+impl Process for Follow {
+    fn after_step(&mut self, world: &mut World) -> bool {
+        let Some(line) = self.line.upgrade().map(Held) else { return true };
+        let Some(state) = world.hand_state(self.hand) else { return true };
+        let at = state.world_from_hand;
+        let force = self.felt.feel_vector(world, self.hand);
+        let target = {
+            let mut line = line.lock();
+            (line.at, line.force) = (at, force);
+            line.target
+        };
+        let Some(target) = target else { return false };
+        let share = 1.0 - (-world.settings().dt_s / FOLLOW_S).exp();
+        let way = target.translation.vector - self.reference.translation.vector;
+        let turn = (target.rotation * self.reference.rotation.inverse()).scaled_axis();
+        self.reference.translation.vector += share * way;
+        self.reference.rotation =
+            nalgebra::UnitQuaternion::from_scaled_axis(share * turn) * self.reference.rotation;
+        let held_back = (target.translation.vector - at.translation.vector).norm();
+        !world.guide(self.hand, &self.reference, FREE_N + STIFFNESS_N_M * held_back)
+    }
+}
+
+impl Drop for Follow {
+    fn drop(&mut self) {
+        // The world has ended, or the hand has gone; a plant that is gone itself hears nothing.
+        if let Some(line) = self.line.upgrade() {
+            Held(line).lock().alive = false;
+        }
+    }
+}
