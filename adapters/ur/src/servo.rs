@@ -101,6 +101,7 @@ impl UrArm {
         self.check_limits(limits)?;
         let state = self.robot_state(timeout).await?;
         self.admit(&state)?;
+        self.refuse_pressing(&state, None).map_err(|r| self.refused(r))?;
         let command = Command {
             force_n: self.config().limits.force_n,
             lookahead_s: settings.lookahead_s,
@@ -109,6 +110,8 @@ impl UrArm {
         };
         let guard = self.give(call, command).await?;
         let number = guard.number.unwrap_or(0);
+        // Targets count from where the arm is now: uploading the script may have taken a while.
+        let state = self.robot_state(timeout).await?;
         let flange = self.flange(&state);
         let sent = Instant::now();
         Ok(ServoStream {

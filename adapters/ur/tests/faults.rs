@@ -128,7 +128,7 @@ async fn without_power_nothing_moves_and_power_comes_only_where_that_is_allowed(
     let allowed = bench_with(UrSettings { powered: false, ..settings() }, None, |c| c.power_up = true).await;
     allowed.arm.power_up(SOON).await.unwrap();
     works(&allowed).await;
-    allowed.arm.dashboard().power_off().await.unwrap();
+    allowed.dashboard().power_off().await.unwrap();
     allowed.until("off", |b| b.emulator.snapshot().robot_mode == 3).await;
 }
 
@@ -139,7 +139,7 @@ async fn out_of_remote_control_is_a_clear_refusal() {
     let goal = bench.beside(0.0, 0.0, 0.01);
     let error = bench.arm.move_to(&goal, LIMITS, SOON).await.unwrap_err();
     assert!(error.to_string().contains("not in remote control"), "{error}");
-    let error = bench.arm.dashboard().power_on().await.unwrap_err();
+    let error = bench.dashboard().power_on().await.unwrap_err();
     assert!(matches!(error, DashboardError::NotRemote { .. }), "{error}");
     bench.emulator.set_remote_control(true);
     works(&bench).await;
@@ -239,7 +239,7 @@ async fn packets_in_pieces_are_no_fault() {
     bench.emulator.faults().scripts.set(pieces);
     bench.emulator.faults().rtde.cut();
     works(&bench).await;
-    bench.arm.dashboard().safety_status().await.unwrap();
+    bench.dashboard().safety_status().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -261,7 +261,7 @@ async fn slow_replies_end_in_time() {
     let faults = bench.emulator.faults();
     faults.dashboard.set(misbehave(|m| m.delay = Duration::from_secs(3)));
     let began = Instant::now();
-    let error = bench.arm.dashboard().robot_mode().await.unwrap_err();
+    let error = bench.dashboard().robot_mode().await.unwrap_err();
     assert!(matches!(error, DashboardError::Timeout { .. }), "{error}");
     assert!(began.elapsed() < Duration::from_secs(2));
     let goal = bench.beside(0.0, 0.0, 0.01);

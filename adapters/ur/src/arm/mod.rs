@@ -54,9 +54,12 @@ pub(crate) struct Call {
     pub(crate) until: Instant,
 }
 
+/// Longer than anybody waits: a caller's time is cut to it, so that no clock overflows.
+const LONGEST: Duration = Duration::from_secs(24 * 3600);
+
 impl Call {
     pub(crate) fn new(operation: &'static str, timeout: Duration) -> Self {
-        Self { operation, timeout, until: Instant::now() + timeout }
+        Self { operation, timeout, until: Instant::now() + timeout.min(LONGEST) }
     }
 }
 
@@ -100,11 +103,6 @@ impl UrArm {
     /// Where the flange must be for the hand to be at a pose.
     pub(crate) fn base_from_flange(&self, world_from_hand: &Isometry3<f64>) -> Isometry3<f64> {
         self.world_from_base.inverse() * world_from_hand * self.flange_from_hand.inverse()
-    }
-
-    /// The controller's dashboard.
-    pub fn dashboard(&self) -> &Dashboard {
-        &self.dashboard
     }
 
     /// What happens from now on.

@@ -80,9 +80,9 @@ impl UrArm {
     }
 
     async fn unlock(&self, call: Call) -> Result<(), DeviceError> {
-        if !self.config().unlock_protective_stop {
+        if !(self.config().armed && self.config().unlock_protective_stop) {
             let detail = "protective stop: a person inspects the cause and unlocks it on the pendant (or \
-                          unlock_protective_stop is set to let software do it)";
+                          unlock_protective_stop is set, on an arm that is armed, to let software do it)";
             return Err(self.fault(FaultKind::Other, detail));
         }
         loop {
