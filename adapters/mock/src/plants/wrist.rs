@@ -117,8 +117,10 @@ impl Plant for WristPlant {
             (line.at, line.force, line.alive)
         };
         let base_from_flange = mount.world_from_base.inverse() * at * mount.flange_from_hand.inverse();
-        // Near a singularity no posture may be found: then the last one stands.
-        let q = mount.model.joints(&base_from_flange, &self.q).unwrap_or(self.q);
+        // The hand is near where the controller wants it. Where no posture is found, next to a singularity, what is wanted
+        // stands for what is.
+        let near = |seed: &Six| mount.model.joints(&base_from_flange, seed);
+        let q = near(&target.q).or_else(|| near(&self.q)).unwrap_or(target.q);
         let blend = (target.dt_s / SPEED_S).min(1.0);
         for ((now, before), qd) in q.iter().zip(&self.q).zip(&mut self.qd) {
             let speed = (now - before) / target.dt_s.max(1e-6);
