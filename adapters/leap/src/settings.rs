@@ -1,13 +1,14 @@
-//! Settings of a LEAP Hand, as a table that a configuration file can hold. `cell.toml` does not know this adapter yet.
+//! Settings of a LEAP Hand, as a table that a configuration file can hold. In `cell.toml`, address and arming stand in the
+//! hand's section, the rest in its table for the kind.
 //!
 //! ```toml
 //! [hand]
 //! id = "leap"
-//! adapter = "leap"
-//!
-//! [hand.settings]
-//! port = "/dev/ttyUSB0"
+//! kind = "leap"
+//! address = "/dev/ttyUSB0"
 //! armed = true              # without this nothing moves
+//!
+//! [hand.settings.leap]
 //! variant = "lite"          # XL330 motors; "full" for XC330
 //! max_current_ma = 300.0
 //! max_speed_rad_s = 2.0

@@ -11,8 +11,11 @@ use super::{require_hand, require_speed};
 use crate::shared::SharedWorld;
 use crate::stage::Process;
 
-/// Time over which the world's wrist follows the controller's targets, seconds.
-const FOLLOW_S: f64 = 0.008;
+/// Time in which the world's wrist makes up for what it is off the controller's path, seconds.
+const FOLLOW_S: f64 = 0.02;
+/// It never accelerates more than this, metres and radians per second squared, though the machine that emulates the
+/// controller may pause and its targets jump then: no real arm jerks because a computer is busy.
+const ACCELERATION: (f64, f64) = (6.0, 30.0);
 /// How stiff the tool of an arm of this size is, newtons per metre, and with what force it follows where nothing is in
 /// its way, newtons.
 const STIFFNESS_N_M: f64 = 20_000.0;
@@ -38,11 +41,20 @@ pub struct WristMount {
     pub joints: Six,
 }
 
+/// Linear and angular velocity, world frame.
+type Twist = (Vector3<f64>, Vector3<f64>);
+
+/// The way from one pose to another, metres and radians.
+fn way(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Twist {
+    let turn = (to.rotation * from.rotation.inverse()).scaled_axis();
+    (to.translation.vector - from.translation.vector, turn)
+}
+
 /// What the controller's thread and the world's thread tell each other.
 #[derive(Debug)]
 struct Line {
-    /// Where the hand should be.
-    target: Option<Isometry3<f64>>,
+    /// Where the hand should be, and how fast that moves: metres and radians per second.
+    target: Option<(Isometry3<f64>, Twist)>,
     /// Where it is, and what presses on it, world frame.
     at: Isometry3<f64>,
     force: Vector3<f64>,
@@ -86,6 +98,7 @@ impl WristPlant {
                 line: Arc::downgrade(&line.0),
                 hand,
                 reference: at,
+                velocity: (Vector3::zeros(), Vector3::zeros()),
                 felt: WristForce::new(FORCE_S),
             });
             Some((line, at))
@@ -113,7 +126,10 @@ impl Plant for WristPlant {
         let wanted = mount.world_from_base * target.base_from_flange * mount.flange_from_hand;
         let (at, force, alive) = {
             let mut line = self.line.lock();
-            line.target = Some(wanted);
+            // In the controller's time, which does not pause.
+            let before = line.target.map_or(wanted, |(before, _)| before);
+            let (linear, angular) = way(&before, &wanted);
+            line.target = Some((wanted, (linear / target.dt_s.max(1e-6), angular / target.dt_s.max(1e-6))));
             (line.at, line.force, line.alive)
         };
         let base_from_flange = mount.world_from_base.inverse() * at * mount.flange_from_hand.inverse();
@@ -146,7 +162,23 @@ struct Follow {
     line: Weak<Mutex<Line>>,
     hand: HandId,
     reference: Isometry3<f64>,
+    velocity: Twist,
     felt: WristForce,
+}
+
+/// A velocity that leads what is off by `error` and should move at `wanted` there, with bounded acceleration.
+fn lead(
+    velocity: &Vector3<f64>,
+    error: &Vector3<f64>,
+    wanted: &Vector3<f64>,
+    most: f64,
+    dt: f64,
+) -> Vector3<f64> {
+    let far = error.norm();
+    // No faster than it can brake from, with half of its acceleration.
+    let speed = (far / FOLLOW_S).min((most * far).sqrt());
+    let change = wanted + error * (speed / far.max(1e-12)) - velocity;
+    velocity + change * (most * dt / change.norm().max(1e-12)).min(1.0)
 }
 
 impl Process for Follow {
@@ -161,13 +193,15 @@ impl Process for Follow {
             line.target
         };
         let Some(target) = target else { return false };
-        let share = 1.0 - (-world.settings().dt_s / FOLLOW_S).exp();
-        let way = target.translation.vector - self.reference.translation.vector;
-        let turn = (target.rotation * self.reference.rotation.inverse()).scaled_axis();
-        self.reference.translation.vector += share * way;
-        self.reference.rotation =
-            nalgebra::UnitQuaternion::from_scaled_axis(share * turn) * self.reference.rotation;
-        let held_back = (target.translation.vector - at.translation.vector).norm();
+        let dt = world.settings().dt_s;
+        let (target, (linear, angular)) = target;
+        let (off, turned) = way(&self.reference, &target);
+        self.velocity.0 = lead(&self.velocity.0, &off, &linear, ACCELERATION.0, dt);
+        self.velocity.1 = lead(&self.velocity.1, &turned, &angular, ACCELERATION.1, dt);
+        self.reference.translation.vector += self.velocity.0 * dt;
+        let turn = nalgebra::UnitQuaternion::from_scaled_axis(self.velocity.1 * dt);
+        self.reference.rotation = turn * self.reference.rotation;
+        let held_back = way(&at, &self.reference).0.norm();
         !world.guide(self.hand, &self.reference, FREE_N + STIFFNESS_N_M * held_back)
     }
 }

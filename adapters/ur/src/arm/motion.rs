@@ -20,6 +20,8 @@ const TAKEN: Duration = Duration::from_secs(2);
 const PRESSED: f64 = 1.5;
 /// An arm whose joints went farther than this since a motion was planned has moved, radians.
 const MOVED_RAD: f64 = 0.01;
+/// Time in which an arm settles at its goal.
+const SETTLES: Duration = Duration::from_millis(500);
 /// Added to the time of braking: what messages need on their way.
 const GRACE: Duration = Duration::from_millis(150);
 
@@ -212,17 +214,26 @@ impl UrArm {
 
     /// What the controller calls done is compared with where the arm is.
     async fn arrived(&self, call: Call, goal: Option<&Isometry3<f64>>) -> Result<(), DeviceError> {
-        let settle = Instant::now() + Duration::from_millis(500);
-        let until = call.until.min(settle);
-        let state = match self.wait_for(call, until, RobotState::is_standing).await {
-            Err(DeviceError::Timeout { .. }) => self.fresh(call).await?,
-            state => state?,
-        };
-        let Some(goal) = goal else { return Ok(()) };
-        let found = self.flange(&state);
-        let way = (found.translation.vector - goal.translation.vector).norm();
-        let angle = found.rotation.angle_to(&goal.rotation);
+        // What the controller calls done may still settle for a moment.
+        let until = call.until.min(Instant::now() + SETTLES);
         let arrival = self.config().arrival;
+        let off = |state: &RobotState| {
+            goal.map_or((0.0, 0.0), |goal| {
+                let found = self.flange(state);
+                let way = (found.translation.vector - goal.translation.vector).norm();
+                (way, found.rotation.angle_to(&goal.rotation))
+            })
+        };
+        let there = |state: &RobotState| {
+            let (way, angle) = off(state);
+            state.is_standing() && way <= arrival.position_m && angle <= arrival.angle_rad
+        };
+        match self.wait_for(call, until, there).await {
+            Ok(_) => return Ok(()),
+            Err(DeviceError::Timeout { .. }) => {}
+            Err(error) => return Err(error),
+        }
+        let (way, angle) = off(&*self.fresh(call).await?);
         if way <= arrival.position_m && angle <= arrival.angle_rad {
             return Ok(());
         }
