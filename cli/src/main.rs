@@ -3,6 +3,8 @@
 mod clock;
 mod commands;
 mod demo_scene;
+#[cfg(feature = "devices")]
+mod devices;
 mod hand_source;
 mod input;
 mod local;
@@ -20,6 +22,8 @@ use tracing_subscriber::EnvFilter;
 use commands::{bench, demo, hands, plan, serve};
 #[cfg(feature = "sim")]
 use commands::{cell, dataset, eval};
+#[cfg(feature = "devices")]
+use commands::{device, emulate};
 
 /// Ranked grasps for any robotic hand from one depth frame, over gRPC.
 #[derive(Debug, Parser)]
@@ -42,6 +46,10 @@ enum Command {
     Dataset(Box<dataset::DatasetArgs>),
     #[cfg(feature = "sim")]
     Eval(Box<eval::EvalArgs>),
+    #[cfg(feature = "devices")]
+    Device(device::DeviceArgs),
+    #[cfg(feature = "devices")]
+    Emulate(emulate::EmulateArgs),
 }
 
 fn main() -> ExitCode {
@@ -69,6 +77,10 @@ fn main() -> ExitCode {
         Command::Dataset(args) => dataset::run(args),
         #[cfg(feature = "sim")]
         Command::Eval(args) => eval::run(args),
+        #[cfg(feature = "devices")]
+        Command::Device(args) => device::run(args),
+        #[cfg(feature = "devices")]
+        Command::Emulate(args) => emulate::run(args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

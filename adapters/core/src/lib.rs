@@ -13,11 +13,14 @@
 //! Beside the traits stands what several cameras share: [`feed`] (frames from a camera's thread to its callers), [`stamps`]
 //! (a device's clock against ours), [`streaming`] (a thread that streams while somebody looks, and reaches a lost device
 //! again) and [`library`] (where a vendor's library is looked for).
+//! [`check`] is what all adapters say of wrong settings and of devices that are not as they should be; [`task`] what hands
+//! share whose line is owned by one task.
 //!
 //! SI units; poses as `world_from_x`, unit quaternions.
 
 mod arm;
 mod camera;
+pub mod check;
 mod closing;
 mod error;
 pub mod feed;
@@ -25,6 +28,7 @@ mod hand;
 pub mod library;
 pub mod stamps;
 pub mod streaming;
+pub mod task;
 
 pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits, Reached};
 pub use async_trait::async_trait;

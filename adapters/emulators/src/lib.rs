@@ -7,6 +7,7 @@
 
 pub mod dynamixel;
 pub mod line;
+pub mod requests;
 pub mod robotiq;
 pub mod ur;
 pub mod wire_faults;

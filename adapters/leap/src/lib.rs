@@ -22,5 +22,5 @@ mod report;
 pub mod settings;
 
 pub use hand::LeapHand;
-pub use report::{Finding, JointReport};
-pub use settings::{LeapSettings, SettingsError};
+pub use report::JointReport;
+pub use settings::LeapSettings;

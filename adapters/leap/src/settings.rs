@@ -1,13 +1,14 @@
-//! Settings of a LEAP Hand, as a table that a configuration file can hold. `cell.toml` does not know this adapter yet.
+//! Settings of a LEAP Hand, as a table that a configuration file can hold. In `cell.toml`, address and arming stand in the
+//! hand's section, the rest in its table for the kind.
 //!
 //! ```toml
 //! [hand]
 //! id = "leap"
-//! adapter = "leap"
-//!
-//! [hand.settings]
-//! port = "/dev/ttyUSB0"
+//! kind = "leap"
+//! address = "/dev/ttyUSB0"
 //! armed = true              # without this nothing moves
+//!
+//! [hand.settings.leap]
 //! variant = "lite"          # XL330 motors; "full" for XC330
 //! max_current_ma = 300.0
 //! max_speed_rad_s = 2.0
@@ -16,21 +17,10 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
+use graspd_adapters_core::check::{SettingsError, require, require_within as number};
 use serde::{Deserialize, Serialize};
 
 use crate::joints::{Joint, leap};
-
-/// Why settings are not accepted.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: found {found}, expected {expected}")]
-pub struct SettingsError {
-    /// The field.
-    pub field: String,
-    /// Found value.
-    pub found: String,
-    /// What is expected.
-    pub expected: String,
-}
 
 /// Which motors the hand has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -141,9 +131,6 @@ impl LeapSettings {
     /// # Errors
     /// [`SettingsError`] with the first field that is wrong.
     pub fn check(&self) -> Result<(), SettingsError> {
-        let number = |field: &str, value: f64, least: f64, most: f64| {
-            require(field, value, (least..=most).contains(&value), format!("{least} to {most}"))
-        };
         require("port", format!("{:?}", self.port), !self.port.is_empty(), "a path, such as /dev/ttyUSB0")?;
         require("baud", self.baud, (9600..=4_500_000).contains(&self.baud), "9600 to 4500000")?;
         number("rate_hz", self.rate_hz, 10.0, 500.0)?;
@@ -184,18 +171,6 @@ impl LeapSettings {
         }
         Ok(())
     }
-}
-
-fn require(
-    field: &str,
-    found: impl ToString,
-    ok: bool,
-    expected: impl Into<String>,
-) -> Result<(), SettingsError> {
-    if ok {
-        return Ok(());
-    }
-    Err(SettingsError { field: field.to_owned(), found: found.to_string(), expected: expected.into() })
 }
 
 #[cfg(test)]

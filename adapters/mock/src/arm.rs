@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use async_trait::async_trait;
+use graspd_adapters_core::check::SettingsError;
 use graspd_adapters_core::{Arm, ArmInfo, ArmState, DeviceError, Limits, Reached};
 use graspd_sim::world::{HandId, WristForce};
 use nalgebra::{Isometry3, Point3};
@@ -13,7 +14,7 @@ use crate::fault_handle::FaultHandle;
 use crate::faults::Faults;
 use crate::link::Link;
 use crate::motion::Shared;
-use crate::shared::{SettingsError, SharedWorld, finite, positive};
+use crate::shared::{SharedWorld, finite, positive};
 
 /// Acceleration of every arm of a simulated world, metres per second squared.
 const ACCELERATION_M_S2: f64 = 2.0;

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use async_trait::async_trait;
+use graspd_adapters_core::check::SettingsError;
 use graspd_adapters_core::{CameraInfo, DepthCamera, DepthFrame, DeviceError, Lens};
 use graspd_sim::render::{self, View};
 use graspd_sim::sensor::Sensor;
@@ -16,7 +17,7 @@ use crate::clock::duration;
 use crate::fault_handle::{Fate, FaultHandle};
 use crate::faults::Faults;
 use crate::link::{Call, Link};
-use crate::shared::{Reply, SettingsError, SharedWorld, positive};
+use crate::shared::{Reply, SharedWorld, positive};
 use crate::stage::Process;
 
 /// Most exposures per second: more than there are steps of the world, and few enough to be counted for ever.
@@ -104,7 +105,7 @@ impl MockCamera {
             return Err(SettingsError {
                 field: "frame_rate_hz".into(),
                 found: settings.frame_rate_hz.to_string(),
-                expected: "at most 10000",
+                expected: "at most 10000".into(),
             });
         }
         let faults = FaultHandle::new(shared.clock(), faults)?;

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use async_trait::async_trait;
+use graspd_adapters_core::check::SettingsError;
 use graspd_adapters_core::{CloseCommand, DeviceError, GripCommand, Hand, HandInfo, HandState};
 use graspd_hands::{Coordinate, CoordinateKind};
 use graspd_sim::world::HandId;
@@ -13,7 +14,7 @@ use crate::fault_handle::FaultHandle;
 use crate::faults::Faults;
 use crate::grip::{Order, Shared};
 use crate::link::Link;
-use crate::shared::{SettingsError, SharedWorld, positive};
+use crate::shared::{SharedWorld, positive};
 
 /// What a mock hand says of itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -62,7 +63,7 @@ impl MockHand {
         let described = described.ok_or_else(|| SettingsError {
             field: "hand".into(),
             found: format!("{hand:?}"),
-            expected: "a hand that is in the world",
+            expected: "a hand that is in the world".into(),
         })?;
         let coordinates = described.actuation.coordinates.iter();
         let actuators: Vec<Coordinate> =

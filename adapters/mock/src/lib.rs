@@ -60,11 +60,14 @@ mod grip;
 mod hand;
 mod motion;
 
+// The world behind the wires of emulated devices.
+pub mod plants;
+
 pub use arm::{ArmSettings, MockArm};
 pub use bins::{Bin, Delivered};
 pub use camera::{CameraSettings, MockCamera, Mount};
 pub use fault_handle::FaultHandle;
 pub use faults::{After, Faults, FaultsError, MotionFault, Overload, Spell, Stale, StopKind};
 pub use hand::{HandSettings, MockHand};
-pub use shared::{Hold, SettingsError, SharedWorld, SharedWorldSettings, WorldEnded};
+pub use shared::{Hold, SharedWorld, SharedWorldSettings, WorldEnded};
 pub use whereabouts::{Census, ObjectView};

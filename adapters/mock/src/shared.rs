@@ -7,6 +7,7 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use graspd_adapters_core::DeviceError;
+use graspd_adapters_core::check::{SettingsError, require};
 use graspd_sim::world::{HandId, World};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -40,38 +41,20 @@ impl Default for SharedWorldSettings {
     }
 }
 
-/// Settings with which no world can run.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: found {found}, expected {expected}")]
-pub struct SettingsError {
-    /// The field.
-    pub field: String,
-    /// Found value.
-    pub found: String,
-    /// What is expected.
-    pub expected: &'static str,
-}
-
 impl From<crate::faults::FaultsError> for SettingsError {
     fn from(e: crate::faults::FaultsError) -> Self {
-        Self { field: format!("faults.{}", e.field), found: e.found.to_string(), expected: e.expected }
+        Self { field: format!("faults.{}", e.field), found: e.found.to_string(), expected: e.expected.into() }
     }
 }
 
 /// `Ok` when a number is finite and above zero.
 pub(crate) fn positive(field: &str, found: f64) -> Result<(), SettingsError> {
-    if found.is_finite() && found > 0.0 {
-        return Ok(());
-    }
-    Err(SettingsError { field: field.into(), found: found.to_string(), expected: "a number above 0" })
+    require(field, found, found.is_finite() && found > 0.0, "a number above 0")
 }
 
 /// `Ok` when a number is finite.
 pub(crate) fn finite(field: &str, found: f64) -> Result<(), SettingsError> {
-    if found.is_finite() {
-        return Ok(());
-    }
-    Err(SettingsError { field: field.into(), found: found.to_string(), expected: "a finite number" })
+    require(field, found, found.is_finite(), "a finite number")
 }
 
 /// The world's thread has ended: a step of the physics failed.
@@ -121,7 +104,7 @@ impl SharedWorld {
                 return Err(SettingsError {
                     field: format!("bins.{}.center_m", bin.name),
                     found: format!("{:?} with half extents {:?}", bin.center_m, bin.half_extents_m),
-                    expected: "a bin that does not overlap the tray and its walls",
+                    expected: "a bin that does not overlap the tray and its walls".into(),
                 });
             }
         }
@@ -136,7 +119,7 @@ impl SharedWorld {
             .map_err(|e| SettingsError {
                 field: "thread".into(),
                 found: e.to_string(),
-                expected: "a thread for the simulated world",
+                expected: "a thread for the simulated world".into(),
             })?;
         Ok(Self { jobs: Arc::new(jobs), clock, pace })
     }
@@ -268,6 +251,11 @@ impl SharedWorld {
                 }
             }
         }
+    }
+
+    /// True for a world that moves all the time, at its speed.
+    pub(crate) fn is_paced(&self) -> bool {
+        matches!(self.pace, Pace::Wall(_))
     }
 
     pub(crate) fn clock(&self) -> Arc<Clock> {

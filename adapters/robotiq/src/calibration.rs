@@ -4,9 +4,10 @@
 //! has lost. A 3-Finger's actuators are its scissor and the first joint of each finger, radians, in free motion: a
 //! finger that lies against something bends otherwise, and its count is the truth then.
 
+use graspd_adapters_core::check::{SettingsError, require, require_within};
 use serde::{Deserialize, Serialize};
 
-use crate::settings::{Model, SettingsError, require};
+use crate::settings::Model;
 use crate::wire::AxisStatus;
 
 /// Counts of a 2F that is open and closed, and its stroke.
@@ -49,8 +50,7 @@ impl Calibration {
         let ok = open >= 0.0 && closed <= 255.0 && closed - open >= 10.0;
         let found = format!("{open} to {closed}");
         require("calibration.open_count", found, ok, "open before closed, within 0 to 255")?;
-        let ok = (1.0..=500.0).contains(&self.open_mm);
-        require("calibration.open_mm", self.open_mm, ok, "1 to 500")
+        require_within("calibration.open_mm", self.open_mm, 1.0, 500.0)
     }
 
     /// Count of an opening, millimetres.

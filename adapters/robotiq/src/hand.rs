@@ -3,20 +3,18 @@
 use std::time::Duration;
 
 use async_trait::async_trait;
+use graspd_adapters_core::check::{Finding, SettingsError};
+use graspd_adapters_core::task::HandOrders;
 use graspd_adapters_core::{CloseCommand, DeviceError, GripCommand, Hand, HandInfo, HandState};
-use tokio::sync::{mpsc, oneshot};
-use tokio::time::timeout_at;
 
 use crate::calibration::{Actuators, Calibration};
-use crate::driver::{Driver, Order, Patience, Reply, Together};
-use crate::report::{Finding, GripperReport};
-use crate::settings::{RobotiqSettings, SettingsError};
+use crate::driver::{Driver, Own, Together};
+use crate::report::GripperReport;
+use crate::settings::RobotiqSettings;
 use crate::wire::Mode;
 
-/// A planner's answer may lie on a limit, give or take a rounding.
-const ROUNDING: f64 = 1e-6;
-/// Orders that wait for the task at most.
-const ORDERS: usize = 32;
+/// A motion ends so much before its caller's time is up, so that the answer comes in time.
+const AHEAD: Duration = Duration::from_millis(50);
 
 /// A Robotiq gripper. Its task ends, and a motion that runs stops, when this is dropped; a grip is kept.
 ///
@@ -25,10 +23,7 @@ const ORDERS: usize = 32;
 /// which opens and closes its fingers once.
 #[derive(Debug)]
 pub struct RobotiqHand {
-    info: HandInfo,
-    /// Least and largest value of each actuator.
-    limits: Vec<(f64, f64)>,
-    orders: mpsc::Sender<Order>,
+    orders: HandOrders<Own>,
     /// Opening of a 2F that is wide open.
     open_mm: f64,
     /// True when its settings allow less than the whole stroke.
@@ -50,11 +45,11 @@ impl RobotiqHand {
             feels_contact: true,
         };
         let limits = actuators.list.iter().map(|(_, least, most)| (*least, *most)).collect();
-        let (orders, received) = mpsc::channel(ORDERS);
+        let (orders, received) = HandOrders::new(info, limits, AHEAD);
         let open_mm = settings.calibration().open_mm;
         let narrowed = settings.openings() != [0.0, open_mm];
         tokio::spawn(Driver::new(settings, actuators).run(received));
-        Ok(Self { info, limits, orders, open_mm, narrowed })
+        Ok(Self { orders, open_mm, narrowed })
     }
 
     /// Allows motion, or forbids it: then fingers stop; they keep their grip.
@@ -62,7 +57,7 @@ impl RobotiqHand {
     /// # Errors
     /// [`DeviceError::Disconnected`], [`DeviceError::Timeout`].
     pub async fn arm(&self, armed: bool, timeout: Duration) -> Result<(), DeviceError> {
-        self.ask("arm", timeout, |reply| Order::Arm(armed, reply)).await
+        self.orders.arm(armed, timeout).await
     }
 
     /// Stops the fingers where they are. A motion that runs ends with [`DeviceError::Stopped`].
@@ -70,7 +65,7 @@ impl RobotiqHand {
     /// # Errors
     /// [`DeviceError::Disconnected`], [`DeviceError::Timeout`].
     pub async fn stop(&self, timeout: Duration) -> Result<(), DeviceError> {
-        self.ask("stop", timeout, Order::Stop).await
+        self.orders.stop(timeout).await
     }
 
     /// Moves all fingers of a 3-Finger as one, in one of its modes; changes the mode first, which takes seconds. In mode
@@ -87,18 +82,18 @@ impl RobotiqHand {
         force: f64,
         timeout: Duration,
     ) -> Result<HandState, DeviceError> {
-        if self.limits.len() == 1 {
+        if self.orders.info().actuators.len() == 1 {
             return Err(DeviceError::Unsupported {
-                device: self.info.name.clone(),
+                device: self.orders.info().name.clone(),
                 operation: "grip_in_mode",
             });
         }
         for (field, share) in [("closed", closed), ("speed", speed), ("force", force)] {
-            self.check_share(field, share)?;
+            self.orders.check_share(field, share)?;
         }
         let together = Together { mode, closed, speed, force };
-        self.ask("grip_in_mode", timeout, |reply| Order::Together(together, Patience::of(timeout), reply))
-            .await
+        let patience = self.orders.patience(timeout);
+        self.orders.own("grip_in_mode", timeout, |reply| Own::Together(together, patience, reply)).await
     }
 
     /// Opens and closes a 2F with nothing between its fingers, gently, and says at which counts it was open and closed:
@@ -108,21 +103,20 @@ impl RobotiqHand {
     /// [`DeviceError::Unsupported`] for a 3-Finger, or where its settings allow less than the whole stroke;
     /// [`DeviceError::Protocol`] when it met something; else as [`Hand::grip`].
     pub async fn calibrate(&self, timeout: Duration) -> Result<Calibration, DeviceError> {
-        let device = || self.info.name.clone();
-        if self.limits.len() != 1 || self.narrowed {
+        let device = || self.orders.info().name.clone();
+        if self.orders.info().actuators.len() != 1 || self.narrowed {
             return Err(DeviceError::Unsupported { device: device(), operation: "calibrate" });
         }
-        let patience = Patience::of(timeout);
+        let patience = self.orders.patience(timeout);
         let mut counts = [0; 2];
         for (count, end) in counts.iter_mut().zip([0, 255]) {
-            let left = patience.until.saturating_duration_since(tokio::time::Instant::now());
-            let state = self.ask("calibrate", left, |reply| Order::Count(end, patience, reply)).await?;
+            let left = patience.left();
+            let state = self.orders.own("calibrate", left, |reply| Own::Count(end, patience, reply)).await?;
             if state.feels_object() {
                 let detail = format!("calibration: something held the fingers on their way to count {end}");
                 return Err(DeviceError::Protocol { device: device(), detail });
             }
-            let left = patience.until.saturating_duration_since(tokio::time::Instant::now());
-            let report = self.report(left).await?;
+            let report = self.report(patience.left()).await?;
             *count = report.axes.first().map_or(0, |axis| axis.count);
         }
         let [open, closed] = counts.map(f64::from);
@@ -135,7 +129,8 @@ impl RobotiqHand {
     /// # Errors
     /// As [`Hand::clear_fault`].
     pub async fn release(&self, opens: bool, timeout: Duration) -> Result<(), DeviceError> {
-        self.ask("release", timeout, |reply| Order::Release(opens, Patience::of(timeout), reply)).await
+        let patience = self.orders.patience(timeout);
+        self.orders.own("release", timeout, |reply| Own::Release(opens, patience, reply)).await
     }
 
     /// Phase, fault, and of each motor position, count, current and what it does.
@@ -143,7 +138,7 @@ impl RobotiqHand {
     /// # Errors
     /// [`DeviceError::Disconnected`], [`DeviceError::Timeout`], [`DeviceError::Protocol`].
     pub async fn report(&self, timeout: Duration) -> Result<GripperReport, DeviceError> {
-        self.ask("report", timeout, Order::Report).await
+        self.orders.own("report", timeout, Own::Report).await
     }
 
     /// What is wrong with the gripper and what to do about it. Nothing moves.
@@ -151,96 +146,32 @@ impl RobotiqHand {
     /// # Errors
     /// [`DeviceError::Timeout`]; what is found is no error.
     pub async fn check(&self, timeout: Duration) -> Result<Vec<Finding>, DeviceError> {
-        let (reply, answer) = oneshot::channel();
-        self.bounded("check", timeout, Order::Check(reply), answer).await
-    }
-
-    async fn ask<T>(
-        &self,
-        operation: &'static str,
-        timeout: Duration,
-        order: impl FnOnce(Reply<T>) -> Order,
-    ) -> Result<T, DeviceError> {
-        let (reply, answer) = oneshot::channel();
-        self.bounded(operation, timeout, order(reply), answer).await?
-    }
-
-    /// Gives an order and waits for its answer, no longer than `timeout`.
-    async fn bounded<T>(
-        &self,
-        operation: &'static str,
-        timeout: Duration,
-        order: Order,
-        answer: oneshot::Receiver<T>,
-    ) -> Result<T, DeviceError> {
-        let device = || self.info.name.clone();
-        let ended = |()| DeviceError::Disconnected { device: device(), detail: "its task has ended".into() };
-        let exchange = async {
-            self.orders.send(order).await.map_err(|_| ended(()))?;
-            answer.await.map_err(|_| ended(()))
-        };
-        match timeout_at(tokio::time::Instant::now() + timeout, exchange).await {
-            Ok(answer) => answer,
-            Err(_) => Err(DeviceError::Timeout { device: device(), operation, after: timeout }),
-        }
-    }
-
-    fn check_list(&self, field: &str, values: &[f64]) -> Result<(), DeviceError> {
-        let refuse = |field: String, found: String, expected: String| {
-            let device = self.info.name.clone();
-            Err(DeviceError::OutOfRange { device, field, found, expected })
-        };
-        if values.len() != self.limits.len() {
-            let (found, expected) = (format!("{} values", values.len()), self.limits.len().to_string());
-            return refuse(field.to_owned(), found, expected);
-        }
-        for ((value, (least, most)), name) in values.iter().zip(&self.limits).zip(&self.info.actuators) {
-            if !(*value >= least - ROUNDING && *value <= most + ROUNDING) {
-                return refuse(format!("{field}.{name}"), value.to_string(), format!("{least} to {most}"));
-            }
-        }
-        Ok(())
-    }
-
-    fn check_share(&self, field: &str, share: f64) -> Result<(), DeviceError> {
-        if (0.0..=1.0).contains(&share) {
-            return Ok(());
-        }
-        let (device, field) = (self.info.name.clone(), field.to_owned());
-        let (found, expected) = (share.to_string(), "a share from 0 to 1".to_owned());
-        Err(DeviceError::OutOfRange { device, field, found, expected })
+        self.orders.check(timeout).await
     }
 }
 
 #[async_trait]
 impl Hand for RobotiqHand {
     fn info(&self) -> HandInfo {
-        self.info.clone()
+        self.orders.info().clone()
     }
 
     async fn state(&self, timeout: Duration) -> Result<HandState, DeviceError> {
-        self.ask("state", timeout, Order::State).await
+        self.orders.state(timeout).await
     }
 
     async fn grip(&self, command: &GripCommand, timeout: Duration) -> Result<HandState, DeviceError> {
-        self.check_list("actuators", &command.actuators)?;
-        self.check_share("speed", command.speed)?;
-        self.check_share("force", command.force)?;
-        self.ask("grip", timeout, |reply| Order::Grip(command.clone(), Patience::of(timeout), reply)).await
+        self.orders.grip(command, timeout).await
     }
 
     /// The gripper itself stops at what it meets, with its force: the fingers go to where contact is expected at such
     /// speeds that they arrive together, then on to `farthest` until they are held.
     async fn close(&self, command: &CloseCommand, timeout: Duration) -> Result<HandState, DeviceError> {
-        command.check(&self.info)?;
-        self.check_list("contact", &command.contact)?;
-        self.check_list("squeezed", &command.squeezed)?;
-        self.check_list("farthest", &command.farthest)?;
-        self.ask("close", timeout, |reply| Order::Close(command.clone(), Patience::of(timeout), reply)).await
+        self.orders.close(command, timeout).await
     }
 
     /// Activates the gripper, where it is not ready: its fingers open and close once. Needs motion to be armed.
     async fn clear_fault(&self, timeout: Duration) -> Result<(), DeviceError> {
-        self.ask("clear_fault", timeout, |reply| Order::Clear(Patience::of(timeout), reply)).await
+        self.orders.clear_fault(timeout).await
     }
 }

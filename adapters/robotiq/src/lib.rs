@@ -26,5 +26,5 @@ pub mod settings;
 pub mod wire;
 
 pub use hand::RobotiqHand;
-pub use report::{AxisReport, Finding, GripperReport};
-pub use settings::{Model, RobotiqSettings, SettingsError};
+pub use report::{AxisReport, GripperReport};
+pub use settings::{Model, RobotiqSettings};

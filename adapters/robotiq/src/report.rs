@@ -31,30 +31,3 @@ pub struct GripperReport {
     /// Motors in the order of the actuators.
     pub axes: Vec<AxisReport>,
 }
-
-/// One thing that was checked.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Finding {
-    /// What was looked at.
-    pub subject: String,
-    /// True when it is as it should be.
-    pub ok: bool,
-    /// What was found.
-    pub found: String,
-    /// What to do about it; empty when it is as it should be.
-    pub advice: String,
-}
-
-impl Finding {
-    pub(crate) fn good(subject: impl Into<String>, found: impl Into<String>) -> Self {
-        Self { subject: subject.into(), ok: true, found: found.into(), advice: String::new() }
-    }
-
-    pub(crate) fn bad(
-        subject: impl Into<String>,
-        found: impl Into<String>,
-        advice: impl Into<String>,
-    ) -> Self {
-        Self { subject: subject.into(), ok: false, found: found.into(), advice: advice.into() }
-    }
-}

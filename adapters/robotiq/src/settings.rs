@@ -1,42 +1,23 @@
-//! Settings of a Robotiq gripper, as a table that a configuration file can hold. `cell.toml` does not know this adapter yet.
+//! Settings of a Robotiq gripper, as a table that a configuration file can hold. In `cell.toml`, address and arming stand in the
+//! hand's section, the rest in its table for the kind.
 //!
 //! ```toml
 //! [hand]
 //! id = "robotiq-2f85"
-//! adapter = "robotiq"
-//!
-//! [hand.settings]
-//! model = "2f-85"           # or "2f-140", "3f"
+//! kind = "robotiq-2f"
+//! address = "/dev/ttyUSB0"  # or socket://, modbus://, rtu:// with host and port
 //! armed = true              # without this nothing moves
+//!
+//! [hand.settings.robotiq-2f]
+//! model = "2f-85"           # or "2f-140"
 //! max_speed_mm_s = 100.0
 //! max_force_n = 60.0
-//!
-//! [hand.settings.link]
-//! kind = "rtu"              # a USB to RS-485 converter
-//! port = "/dev/ttyUSB0"
-//! # kind = "modbus_tcp"     # a controller on the network
-//! # address = "192.168.1.11:502"
-//! # kind = "rtu_over_tcp"   # an arm's tool port
-//! # address = "192.168.1.10:54321"
-//! # kind = "socket"         # an arm's gripper software
-//! # address = "192.168.1.10:63352"
 //! ```
 
+use graspd_adapters_core::check::{SettingsError, require, require_within as number};
 use serde::{Deserialize, Serialize};
 
 use crate::calibration::Calibration;
-
-/// Why settings are not accepted.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: found {found}, expected {expected}")]
-pub struct SettingsError {
-    /// The field.
-    pub field: String,
-    /// Found value.
-    pub found: String,
-    /// What is expected.
-    pub expected: String,
-}
 
 /// Which gripper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -245,22 +226,6 @@ impl RobotiqSettings {
         let expected = format!("least and most within 0 to {}", self.calibration().open_mm);
         require("openings_mm", format!("{least} to {most}"), ok, expected)
     }
-}
-
-fn number(field: &str, value: f64, least: f64, most: f64) -> Result<(), SettingsError> {
-    require(field, value, (least..=most).contains(&value), format!("{least} to {most}"))
-}
-
-pub(crate) fn require(
-    field: &str,
-    found: impl ToString,
-    ok: bool,
-    expected: impl Into<String>,
-) -> Result<(), SettingsError> {
-    if ok {
-        return Ok(());
-    }
-    Err(SettingsError { field: field.to_owned(), found: found.to_string(), expected: expected.into() })
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
-//! Settings of an arm, as a table that a configuration file can hold. `cell.toml` does not know this adapter yet.
+//! Settings of an arm, as a table that a configuration file can hold.
 
+use graspd_adapters_core::check::SettingsError;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +22,8 @@ pub struct UrConfig {
     pub ports: Ports,
     /// Where the base stands in the world.
     pub world_from_base: BasePose,
+    /// How the hand's root link is mounted on the flange: callers' poses are those of the root link.
+    pub flange_from_hand: BasePose,
     /// Bounds of every motion.
     pub limits: UrLimits,
     /// How the arm knows that its client lives.
@@ -64,7 +67,7 @@ impl Default for Ports {
     }
 }
 
-/// Pose of the base in the world.
+/// A pose in a configuration file.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BasePose {
@@ -72,6 +75,15 @@ pub struct BasePose {
     pub position_m: [f64; 3],
     /// Unit quaternion x, y, z, w.
     pub orientation: [f64; 4],
+}
+
+impl BasePose {
+    /// As a pose; the orientation is made a unit quaternion.
+    fn isometry(&self) -> Isometry3<f64> {
+        let ([x, y, z], [i, j, k, w]) = (self.position_m, self.orientation);
+        let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k));
+        Isometry3::from_parts(Translation3::new(x, y, z), turn)
+    }
 }
 
 impl Default for BasePose {
@@ -195,6 +207,7 @@ impl Default for UrConfig {
             armed: false,
             ports: Ports::default(),
             world_from_base: BasePose::default(),
+            flange_from_hand: BasePose::default(),
             limits: UrLimits::default(),
             heartbeat: Heartbeat::default(),
             payload: None,
@@ -210,26 +223,14 @@ impl Default for UrConfig {
     }
 }
 
-/// Why settings are not accepted.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{field}: found {found}, expected {expected}")]
-pub struct ConfigError {
-    /// The field.
-    pub field: String,
-    /// Found value.
-    pub found: String,
-    /// What is expected.
-    pub expected: String,
-}
-
 impl UrConfig {
     /// Refuses what cannot be.
     ///
     /// # Errors
-    /// [`ConfigError`].
-    pub fn check(&self) -> Result<(), ConfigError> {
+    /// [`SettingsError`].
+    pub fn check(&self) -> Result<(), SettingsError> {
         let refuse = |field: &str, found: String, expected: &str| {
-            Err(ConfigError { field: field.into(), found, expected: expected.into() })
+            Err(SettingsError { field: field.into(), found, expected: expected.into() })
         };
         if self.host.trim().is_empty() {
             return refuse("host", format!("{:?}", self.host), "the controller's address");
@@ -274,20 +275,27 @@ impl UrConfig {
         {
             return refuse("payload", format!("{p:?}"), "0 to 50 kg within 2 m");
         }
-        let base = &self.world_from_base;
-        let norm = base.orientation.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let near_one = (norm - 1.0).abs() < 1e-3;
-        if !(near_one && base.position_m.iter().all(|v| v.is_finite())) {
-            return refuse("world_from_base", format!("{base:?}"), "finite, orientation a unit quaternion");
+        for (field, pose) in
+            [("world_from_base", &self.world_from_base), ("flange_from_hand", &self.flange_from_hand)]
+        {
+            let norm = pose.orientation.iter().map(|v| v * v).sum::<f64>().sqrt();
+            // Written so that NaN is refused.
+            let near_one = (norm - 1.0).abs() < 1e-3;
+            if !(near_one && pose.position_m.iter().all(|v| v.abs() <= 100.0)) {
+                return refuse(field, format!("{pose:?}"), "finite, orientation a unit quaternion");
+            }
         }
         Ok(())
     }
 
     /// Pose of the base in the world.
     pub fn world_from_base(&self) -> Isometry3<f64> {
-        let ([x, y, z], [i, j, k, w]) = (self.world_from_base.position_m, self.world_from_base.orientation);
-        let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k));
-        Isometry3::from_parts(Translation3::new(x, y, z), turn)
+        self.world_from_base.isometry()
+    }
+
+    /// How the hand's root link is mounted on the flange.
+    pub fn flange_from_hand(&self) -> Isometry3<f64> {
+        self.flange_from_hand.isometry()
     }
 }
 

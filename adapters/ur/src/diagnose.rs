@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use graspd_adapters_core::FaultKind;
+use graspd_adapters_core::check::Finding;
 use tokio::net::TcpStream;
 
 use crate::config::UrConfig;
@@ -11,55 +12,33 @@ use crate::rtde::{Package, RtdeError, RtdeLink};
 use crate::script::{BEAT_FIELDS, COMMAND_FIELDS, STREAM_FIELDS};
 use crate::state::{RobotMode, RobotState};
 
-/// One thing that was looked at.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Finding {
-    /// What was looked at.
-    pub what: &'static str,
-    /// True when it is as it must be for the arm to be moved.
-    pub good: bool,
-    /// What was found.
-    pub found: String,
-    /// What to do; empty where nothing is.
-    pub remedy: String,
-}
-
-fn good(what: &'static str, found: impl Into<String>) -> Finding {
-    Finding { what, good: true, found: found.into(), remedy: String::new() }
-}
-
-fn bad(what: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Finding {
-    Finding { what, good: false, found: found.into(), remedy: remedy.into() }
-}
-
 /// Looks at everything that motion needs, in the order in which a person would fix it. Ends within a few times the
 /// configured `connect_timeout_s`.
 pub async fn diagnose(config: &UrConfig) -> Vec<Finding> {
     let mut findings = Vec::new();
     if let Err(error) = config.check() {
-        let remedy = format!("set {} in the arm's settings to {}", error.field, error.expected);
-        findings.push(bad("settings", error.to_string(), remedy));
+        findings.push(Finding::of_settings(&error));
         return findings;
     }
-    findings.push(good("settings", format!("{} at {}", config.model.name(), config.host)));
+    findings.push(Finding::good("settings", format!("{} at {}", config.model.name(), config.host)));
     dashboard(config, &mut findings).await;
     state(config, &mut findings).await;
     let limit = Duration::from_secs_f64(config.connect_timeout_s);
     let primary = TcpStream::connect((config.host.as_str(), config.ports.primary));
     findings.push(match tokio::time::timeout(limit, primary).await {
-        Ok(Ok(_)) => good("primary interface", "takes connections"),
-        Ok(Err(error)) => bad(
+        Ok(Ok(_)) => Finding::good("primary interface", "takes connections"),
+        Ok(Err(error)) => Finding::bad(
             "primary interface",
             error.to_string(),
             "enable it on the pendant: Settings > Security > Services > Primary Client Interface",
         ),
-        Err(_) => bad("primary interface", format!("no answer within {limit:?}"), "check cable and address"),
+        Err(_) => Finding::bad(
+            "primary interface",
+            format!("no answer within {limit:?}"),
+            "check cable and address",
+        ),
     });
-    findings.push(if config.armed {
-        good("armed", "true: motion is allowed")
-    } else {
-        bad("armed", "false: nothing will move", "set armed = true in the arm's settings when it may move")
-    });
+    findings.push(Finding::of_arming(config.armed));
     findings
 }
 
@@ -67,7 +46,7 @@ async fn dashboard(config: &UrConfig, findings: &mut Vec<Finding>) {
     let limit = Duration::from_secs_f64(config.connect_timeout_s);
     let dashboard = Dashboard::new(config.host.clone(), config.ports.dashboard, limit);
     match dashboard.version().await {
-        Ok(version) => findings.push(good("dashboard", version)),
+        Ok(version) => findings.push(Finding::good("dashboard", version)),
         Err(error) => {
             let remedy = match error {
                 DashboardError::Link(_) | DashboardError::Timeout { .. } => {
@@ -76,26 +55,26 @@ async fn dashboard(config: &UrConfig, findings: &mut Vec<Finding>) {
                 }
                 _ => "check that the address is that of the robot's controller",
             };
-            findings.push(bad("dashboard", error.to_string(), remedy));
+            findings.push(Finding::bad("dashboard", error.to_string(), remedy));
             return;
         }
     }
     findings.push(match dashboard.is_remote().await {
-        Ok(Some(true)) => good("remote control", "yes"),
-        Ok(None) => good("remote control", "this software does not tell"),
+        Ok(Some(true)) => Finding::good("remote control", "yes"),
+        Ok(None) => Finding::good("remote control", "this software does not tell"),
         Ok(Some(false)) => {
-            bad("remote control", "no", "choose Remote Control at the top right of the pendant")
+            Finding::bad("remote control", "no", "choose Remote Control at the top right of the pendant")
         }
-        Err(error) => bad("remote control", error.to_string(), "ask again"),
+        Err(error) => Finding::bad("remote control", error.to_string(), "ask again"),
     });
     if let Ok(Some(model)) = dashboard.robot_model().await {
         let ours = config.model.name().trim_end_matches('e');
         let theirs = model.trim_end_matches('e');
         findings.push(if ours == theirs {
-            good("model", model)
+            Finding::good("model", model)
         } else {
             let remedy = format!("set model in the arm's settings to that of {model}");
-            bad("model", format!("{model}, settings say {}", config.model.name()), remedy)
+            Finding::bad("model", format!("{model}, settings say {}", config.model.name()), remedy)
         });
     }
 }
@@ -125,37 +104,45 @@ async fn state(config: &UrConfig, findings: &mut Vec<Finding>) {
         Ok(Ok(found)) => found,
         Ok(Err(error)) => {
             let remedy = "check cable and address; enable it: Settings > Security > Services > RTDE";
-            findings.push(bad("RTDE", error.to_string(), remedy));
+            findings.push(Finding::bad("RTDE", error.to_string(), remedy));
             return;
         }
         Err(_) => {
-            findings.push(bad("RTDE", format!("no answer within {limit:?}"), "check cable and address"));
+            findings.push(Finding::bad(
+                "RTDE",
+                format!("no answer within {limit:?}"),
+                "check cable and address",
+            ));
             return;
         }
     };
     let [major, minor, bugfix, _] = version;
-    findings.push(good("RTDE", format!("protocol 2, controller {major}.{minor}.{bugfix}")));
+    findings.push(Finding::good("RTDE", format!("protocol 2, controller {major}.{minor}.{bugfix}")));
     findings.push(match taken {
-        Ok(()) => good("registers", "24 and up are free"),
-        Err(error) => bad("registers", error.to_string(), "end the other client, or switch the fieldbus off"),
+        Ok(()) => Finding::good("registers", "24 and up are free"),
+        Err(error) => {
+            Finding::bad("registers", error.to_string(), "end the other client, or switch the fieldbus off")
+        }
     });
     findings.push(match state.safety.fault() {
-        None => good("safety", format!("{:?}", state.safety)),
+        None => Finding::good("safety", format!("{:?}", state.safety)),
         Some(kind) => {
             let remedy = match kind {
                 FaultKind::ProtectiveStop => "inspect the cause, then unlock it on the pendant",
                 FaultKind::EmergencyStop => "release the emergency button, then switch power on",
                 _ => "see the pendant's log and clear it there",
             };
-            bad("safety", format!("{:?}", state.safety), remedy)
+            Finding::bad("safety", format!("{:?}", state.safety), remedy)
         }
     });
     findings.push(match state.robot_mode {
-        RobotMode::Running => good("power and brakes", "on, released"),
-        mode => bad("power and brakes", format!("{mode:?}"), "switch power on and release the brakes"),
+        RobotMode::Running => Finding::good("power and brakes", "on, released"),
+        mode => {
+            Finding::bad("power and brakes", format!("{mode:?}"), "switch power on and release the brakes")
+        }
     });
     if state.speed_scaling < 0.01 {
         let remedy = "raise the speed slider on the pendant; from 0 it may cause a protective stop";
-        findings.push(bad("speed slider", format!("{:.0} %", 100.0 * state.speed_scaling), remedy));
+        findings.push(Finding::bad("speed slider", format!("{:.0} %", 100.0 * state.speed_scaling), remedy));
     }
 }

@@ -21,9 +21,9 @@ mod state;
 mod upload;
 
 pub use arm::UrArm;
-pub use config::{Arrival, BasePose, ConfigError, Heartbeat, Payload, Ports, UrConfig, UrLimits, Workspace};
+pub use config::{Arrival, BasePose, Heartbeat, Payload, Ports, UrConfig, UrLimits, Workspace};
 pub use dashboard::{Dashboard, DashboardError};
-pub use diagnose::{Finding, diagnose};
+pub use diagnose::diagnose;
 pub use events::UrEvent;
 pub use primary::{PrimaryError, PrimaryMessage, PrimaryReader};
 pub use servo::{ServoSettings, ServoStream};

@@ -13,6 +13,10 @@
 //! | double 30-35 | joints near the target | int 29 | why it ended: 1 no heartbeat, 2 asked to |
 //! | double 36-41 | speed, acceleration, time, force, look-ahead, gain | | |
 //!
+//! Forces count from what the sensor says when a motion begins, since sensors drift; no more than `limits.force_n` is
+//! taken for drift, so that motions that begin pressed do not add up; those may go on while the force gets less. A guarded motion that met something goes back to
+//! where it was when it felt that: braking takes it on by some millimetres, and it does not stay pressed by them.
+//!
 //! The tool centre point is set to the flange while the script runs, so that speeds on lines are those of the flange,
 //! and put back when it ends in order.
 
@@ -141,6 +145,7 @@ pub(crate) fn control_script(config: &UrConfig, token: i32) -> String {
     let _ = writeln!(text, "  global g_stop_line = {:e}", limits.stop_m_s2);
     let _ = writeln!(text, "  global g_missed_most = {}", steps(heartbeat.timeout_s));
     let _ = writeln!(text, "  global g_stale_most = {}", steps(STREAM_TIMEOUT_S));
+    let _ = writeln!(text, "  global g_rest_most = {:e}", limits.force_n);
     text.push_str(BODY);
     if let Some(payload) = &config.payload {
         let [x, y, z] = payload.center_m;
@@ -164,7 +169,10 @@ const BODY: &str = "  global g_kind = 0
   global g_force = 0.0
   global g_lookahead = 0.1
   global g_gain = 300.0
+  global g_least = 0.0
+  global g_begins_pressed = False
   global g_step = get_steptime()
+  global g_met = p[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
   def g_pose():
     return p[g_target[0], g_target[1], g_target[2], g_target[3], g_target[4], g_target[5]]
@@ -188,6 +196,11 @@ const BODY: &str = "  global g_kind = 0
     else:
       movel(g_pose(), a=g_acceleration, v=g_speed, t=g_time)
     end
+    g_moving = 0
+  end
+
+  thread g_relieve():
+    movel(g_met, a=g_acceleration, v=0.05)
     g_moving = 0
   end
 
@@ -215,8 +228,28 @@ const BODY: &str = "  global g_kind = 0
     write_output_integer_register(24, 1)
   end
 
+  def g_feel_rest():
+    f = get_tcp_force()
+    n = norm([f[0], f[1], f[2]])
+    g_least = n
+    g_begins_pressed = False
+    if n > g_rest_most:
+      g_begins_pressed = True
+      s = g_rest_most / n
+      return [s * f[0], s * f[1], s * f[2], 0.0, 0.0, 0.0]
+    end
+    return f
+  end
+
   def g_pressed():
     f = get_tcp_force()
+    n = norm([f[0], f[1], f[2]])
+    if n < g_least:
+      g_least = n
+    end
+    if g_begins_pressed and n < g_least + 5.0:
+      return 0.0
+    end
     return norm([f[0] - g_rest[0], f[1] - g_rest[1], f[2] - g_rest[2]])
   end
 
@@ -230,6 +263,7 @@ const LOOP: &str = "  number = read_input_integer_register(24)
   count = 0
   stale = 0
   busy = False
+  relieves = False
   going = True
   write_output_integer_register(25, number)
   write_output_integer_register(26, 0)
@@ -261,8 +295,9 @@ const LOOP: &str = "  number = read_input_integer_register(24)
       g_force = read_input_float_register(39)
       g_lookahead = read_input_float_register(40)
       g_gain = read_input_float_register(41)
-      g_rest = get_tcp_force()
+      g_rest = g_feel_rest()
       busy = True
+      relieves = False
       write_output_integer_register(24, 2)
       write_output_integer_register(25, number)
       if g_kind == 99:
@@ -282,12 +317,20 @@ const LOOP: &str = "  number = read_input_integer_register(24)
         g_thread = run g_move()
       end
     elif busy:
-      if g_pressed() > g_force:
-        g_brake()
-        busy = False
-        if g_kind == 4:
+      if relieves:
+        if g_moving == 0:
+          busy = False
           g_finish(number, 2)
+        end
+      elif g_pressed() > g_force:
+        g_met = get_actual_tcp_pose()
+        g_brake()
+        if g_kind == 4:
+          relieves = True
+          g_moving = 1
+          g_thread = run g_relieve()
         else:
+          busy = False
           g_finish(number, 6)
         end
       elif g_kind == 5 or g_kind == 6:

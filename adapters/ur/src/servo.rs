@@ -69,7 +69,7 @@ impl UrArm {
         self.servo(CommandKind::ServoJoints, "servo_joints", settings, limits, timeout).await
     }
 
-    /// Begins a stream of poses of the flange.
+    /// Begins a stream of poses of the hand.
     ///
     /// # Errors
     /// As [`graspd_adapters_core::Arm::move_to`].
@@ -101,6 +101,7 @@ impl UrArm {
         self.check_limits(limits)?;
         let state = self.robot_state(timeout).await?;
         self.admit(&state)?;
+        self.refuse_pressing(&state, None).map_err(|r| self.refused(r))?;
         let command = Command {
             force_n: self.config().limits.force_n,
             lookahead_s: settings.lookahead_s,
@@ -109,6 +110,8 @@ impl UrArm {
         };
         let guard = self.give(call, command).await?;
         let number = guard.number.unwrap_or(0);
+        // Targets count from where the arm is now: uploading the script may have taken a while.
+        let state = self.robot_state(timeout).await?;
         let flange = self.flange(&state);
         let sent = Instant::now();
         Ok(ServoStream {
@@ -204,7 +207,7 @@ impl ServoStream<'_> {
         self.emit(*target)
     }
 
-    /// Sends a pose of the flange, world frame. Call at up to 500 Hz, and at least every 0.1 s.
+    /// Sends a pose of the hand, world frame. Call at up to 500 Hz, and at least every 0.1 s.
     ///
     /// # Errors
     /// As [`ServoStream::send_joints`].
@@ -213,7 +216,7 @@ impl ServoStream<'_> {
             return Err(error);
         }
         let limits = self.arm.config().limits;
-        let target = self.arm.world_from_base.inverse() * world_from_flange;
+        let target = self.arm.base_from_flange(world_from_flange);
         let Some(joints) = self.arm.kinematics.closest(&target, &self.joints) else {
             return Err(self.arm.out_of_range("world_from_flange", target, "a pose that the arm reaches"));
         };

@@ -62,9 +62,10 @@ impl Shared {
         }
     }
 
-    /// Numbers go on after this one: the one that a new script takes for old.
+    /// Numbers go on after this one, the one that a new script takes for old. Never back to one that was given out: its
+    /// caller may still wait, and would take the answer to another command for its own.
     pub(crate) fn begin_after(&self, number: i32) {
-        self.newest.store(number.clamp(0, 1_000_000_000), Ordering::SeqCst);
+        self.newest.fetch_max(number.clamp(0, 1_000_000_000), Ordering::SeqCst);
     }
 
     pub(crate) fn newest(&self) -> i32 {
@@ -280,5 +281,25 @@ fn publish(shared: &Shared, state: RobotState) {
     }
     if running.is_some_and(|running| running != state.program_running) {
         shared.tell(UrEvent::Program { running: state.program_running });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_number_is_given_out_twice() {
+        let shared = Shared::new(UrConfig::default());
+        let given: Vec<i32> = (0..3).map(|_| shared.next_number()).collect();
+        assert_eq!(given, [1, 2, 3]);
+        // A new script has taken number 1 for old, while callers of 2 and 3 may still wait.
+        shared.begin_after(1);
+        assert_eq!(shared.next_number(), 4);
+        // Another client had come further.
+        shared.begin_after(500);
+        assert_eq!(shared.next_number(), 501);
+        shared.begin_after(i32::MAX);
+        assert_eq!(shared.next_number(), 1);
     }
 }

@@ -128,7 +128,7 @@ async fn without_power_nothing_moves_and_power_comes_only_where_that_is_allowed(
     let allowed = bench_with(UrSettings { powered: false, ..settings() }, None, |c| c.power_up = true).await;
     allowed.arm.power_up(SOON).await.unwrap();
     works(&allowed).await;
-    allowed.arm.dashboard().power_off().await.unwrap();
+    allowed.dashboard().power_off().await.unwrap();
     allowed.until("off", |b| b.emulator.snapshot().robot_mode == 3).await;
 }
 
@@ -139,7 +139,7 @@ async fn out_of_remote_control_is_a_clear_refusal() {
     let goal = bench.beside(0.0, 0.0, 0.01);
     let error = bench.arm.move_to(&goal, LIMITS, SOON).await.unwrap_err();
     assert!(error.to_string().contains("not in remote control"), "{error}");
-    let error = bench.arm.dashboard().power_on().await.unwrap_err();
+    let error = bench.dashboard().power_on().await.unwrap_err();
     assert!(matches!(error, DashboardError::NotRemote { .. }), "{error}");
     bench.emulator.set_remote_control(true);
     works(&bench).await;
@@ -239,7 +239,7 @@ async fn packets_in_pieces_are_no_fault() {
     bench.emulator.faults().scripts.set(pieces);
     bench.emulator.faults().rtde.cut();
     works(&bench).await;
-    bench.arm.dashboard().safety_status().await.unwrap();
+    bench.dashboard().safety_status().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -261,7 +261,7 @@ async fn slow_replies_end_in_time() {
     let faults = bench.emulator.faults();
     faults.dashboard.set(misbehave(|m| m.delay = Duration::from_secs(3)));
     let began = Instant::now();
-    let error = bench.arm.dashboard().robot_mode().await.unwrap_err();
+    let error = bench.dashboard().robot_mode().await.unwrap_err();
     assert!(matches!(error, DashboardError::Timeout { .. }), "{error}");
     assert!(began.elapsed() < Duration::from_secs(2));
     let goal = bench.beside(0.0, 0.0, 0.01);
@@ -384,7 +384,7 @@ async fn a_check_says_what_is_wrong_and_what_to_do() {
     let emulator = graspd_adapters_emulators::ur::UrEmulator::start(settings()).await.unwrap();
     let config = bench::config(&emulator);
     let findings = graspd_adapters_ur::diagnose(&config).await;
-    assert!(findings.iter().all(|f| f.good && f.remedy.is_empty()), "{findings:#?}");
+    assert!(findings.iter().all(|f| f.ok && f.advice.is_empty()), "{findings:#?}");
     assert_eq!(findings.len(), 10);
     emulator.set_remote_control(false);
     emulator.occupy("input_int_register_26", true);
@@ -392,15 +392,15 @@ async fn a_check_says_what_is_wrong_and_what_to_do() {
     let mut wrong = config.clone();
     (wrong.armed, wrong.model) = (false, graspd_adapters_ur::kinematics::Model::Ur10e);
     let findings = graspd_adapters_ur::diagnose(&wrong).await;
-    let bad: Vec<_> = findings.iter().filter(|f| !f.good).map(|f| f.what).collect();
-    assert_eq!(bad, ["remote control", "model", "registers", "safety", "armed"]);
-    assert!(findings.iter().all(|f| f.good || !f.remedy.is_empty()));
+    let bad: Vec<_> = findings.iter().filter(|f| !f.ok).map(|f| f.subject.as_str()).collect();
+    assert_eq!(bad, ["remote control", "model", "registers", "safety", "motion"]);
+    assert!(findings.iter().all(|f| f.ok || !f.advice.is_empty()));
     assert!(!emulator.snapshot().program_running);
     let mut nobody = config;
     drop(emulator);
     nobody.connect_timeout_s = 0.3;
     tokio::time::sleep(Duration::from_millis(50)).await;
     let findings = graspd_adapters_ur::diagnose(&nobody).await;
-    let bad: Vec<_> = findings.iter().filter(|f| !f.good).map(|f| f.what).collect();
+    let bad: Vec<_> = findings.iter().filter(|f| !f.ok).map(|f| f.subject.as_str()).collect();
     assert_eq!(bad, ["dashboard", "RTDE", "primary interface"]);
 }

@@ -333,3 +333,96 @@ async fn a_plant_of_ones_own_can_stop_the_arm() {
     let z = bench.flange().translation.vector.z;
     assert!(z < start - 0.045 && z > start - 0.12, "{}", start - z);
 }
+
+/// A spring below a height, so that the force says how deep it is pressed.
+fn spring_below(depth_m: f64, stiffness_n_m: f64) -> Box<JointServo> {
+    let start = graspd_adapters_emulators::ur::UrModel::Ur5e.flange(&HOME).translation.vector;
+    let point = nalgebra::Point3::from(start - nalgebra::Vector3::z() * depth_m);
+    Box::new(JointServo::new(HOME).with_wall(Wall {
+        point,
+        normal: nalgebra::Vector3::z_axis(),
+        stiffness_n_m,
+    }))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_guarded_motion_does_not_stay_pressed_by_its_braking() {
+    let settings = UrSettings { joints: Some(HOME), ..settings() };
+    let bench = bench_with(settings, Some(spring_below(0.03, 20_000.0)), |_| {}).await;
+    let start = bench.flange().translation.vector.z;
+    let fast = Limits { speed_m_s: 0.1, acceleration_m_s2: 1.0 };
+    let goal = bench.beside(0.0, 0.0, -0.06);
+    let reached = bench.arm.move_until_contact(&goal, fast, 20.0, LONG).await.unwrap();
+    assert_eq!(reached, graspd_adapters_core::Reached::Contact);
+    bench.until("stands", |b| !b.moves()).await;
+    let pressed = bench.arm.robot_state(SOON).await.unwrap().wrench[2];
+    // 20 N at 1 mm; braking from 0.1 m/s with 3 m/s² alone would add 1.7 mm, 33 N.
+    assert!(pressed < 35.0, "{pressed} N, {:.4} m", start - bench.flange().translation.vector.z);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn motions_that_begin_pressed_do_not_add_up_to_any_force() {
+    let settings = UrSettings { joints: Some(HOME), stop_force_n: 1000.0, ..settings() };
+    let plant = spring_below(0.01, 20_000.0);
+    let bench = bench_with(settings, Some(plant), |c| c.limits.force_n = 40.0).await;
+    let slow = Limits { speed_m_s: 0.02, acceleration_m_s2: 1.0 };
+    let mut most: f64 = 0.0;
+    for _ in 0..8 {
+        let goal = bench.beside(0.0, 0.0, -0.05);
+        // Each ends at its force, one way or another.
+        let _ended = bench.arm.move_linear(&goal, slow, LONG).await;
+        bench.until("stands", |b| !b.moves()).await;
+        most = most.max(bench.arm.robot_state(SOON).await.unwrap().wrench[2]);
+    }
+    // 40 N of drift and 40 N of limit, and what braking adds; without that bound it would be 320 N.
+    assert!(most > 60.0 && most < 100.0, "{most} N");
+    let error = bench.arm.move_linear(&bench.beside(0.0, 0.0, -0.01), slow, LONG).await.unwrap_err();
+    assert!(matches!(&error, DeviceError::OutOfRange { field, .. } if field == "force"), "{error}");
+    let error = bench.arm.servo_pose(ServoSettings::default(), LIMITS, SOON).await.unwrap_err();
+    assert!(matches!(&error, DeviceError::OutOfRange { field, .. } if field == "force"), "{error}");
+    let up = bench.beside(0.0, 0.0, 0.03);
+    bench.arm.move_linear(&up, slow, LONG).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn however_long_a_caller_would_wait_no_clock_overflows() {
+    let bench = bench().await;
+    bench.arm.state(Duration::MAX).await.unwrap();
+    bench.arm.move_linear(&bench.beside(0.0, 0.0, 0.01), LIMITS, Duration::MAX).await.unwrap();
+    bench.arm.stop(Duration::MAX).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_is_not_armed_moves_nothing_by_any_call() {
+    let bench = bench_with(UrSettings { powered: true, ..settings() }, None, |c| {
+        (c.armed, c.power_up, c.unlock_protective_stop) = (false, true, true);
+    })
+    .await;
+    let goal = bench.beside(0.0, 0.0, 0.02);
+    let arm = &bench.arm;
+    let joints = bench.emulator.snapshot().joints;
+    let refused = [
+        arm.move_to(&goal, LIMITS, SOON).await,
+        arm.move_linear(&goal, LIMITS, SOON).await,
+        arm.move_until_contact(&goal, LIMITS, 10.0, SOON).await.map(|_| ()),
+        arm.move_joints(&joints, LIMITS, SOON).await,
+        arm.servo_joints(ServoSettings::default(), LIMITS, SOON).await.map(|_| ()),
+        arm.servo_pose(ServoSettings::default(), LIMITS, SOON).await.map(|_| ()),
+        arm.power_up(SOON).await,
+    ];
+    for error in refused.map(Result::unwrap_err) {
+        assert!(matches!(error, DeviceError::OutOfRange { .. }), "{error}");
+    }
+    // Neither does unlocking: it is the first step of moving again.
+    bench.emulator.protective_stop("test");
+    bench
+        .until("stops", |b| {
+            b.emulator.snapshot().safety == graspd_adapters_emulators::ur::Safety::ProtectiveStop
+        })
+        .await;
+    tokio::time::sleep(Duration::from_millis(700)).await;
+    arm.clear_fault(SOON).await.unwrap_err();
+    let snapshot = bench.emulator.snapshot();
+    assert_eq!(snapshot.safety, graspd_adapters_emulators::ur::Safety::ProtectiveStop);
+    assert!(snapshot.joints == joints && !snapshot.program_running);
+}

@@ -13,6 +13,16 @@ impl CellConfig {
     pub fn check(&self) -> Result<(), ConfigError> {
         self.check_planner()?;
         self.check_places()?;
+        for (device, settings) in
+            [("camera", &self.camera.settings), ("arm", &self.arm.settings), ("hand", &self.hand.settings)]
+        {
+            if let Some((key, value)) = settings.iter().find(|(_, value)| !value.is_table()) {
+                let field = format!("{device}.settings.{key}");
+                let expected =
+                    format!("a table for each kind of {device}, for example [{device}.settings.mock]");
+                return Err(wrong(&field, value, expected));
+            }
+        }
         let share = |field, x: f64| inside(field, x, x > 0.0 && x <= 1.0, "more than 0, at most 1");
         share("hand.speed", self.hand.speed)?;
         share("hand.force", self.hand.force)?;

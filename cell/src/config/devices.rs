@@ -55,15 +55,18 @@ impl Default for PlannerConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraConfig {
-    /// Adapter by name, for example `mock`.
-    pub adapter: String,
+    /// Which kind of camera, for example `mock`.
+    #[serde(alias = "adapter")]
+    pub kind: String,
+    /// Where it is: what its kind understands, `emulator` for one that is emulated in this process. Mock cameras have none.
+    pub address: String,
     /// Oldest frame that is planned from, seconds.
     pub max_age_s: f64,
     /// Where the camera is, for one that does not know: position of the optical frame, metres, world.
     pub position_m: [f64; 3],
     /// Where it looks: a point on its optical axis, metres, world.
     pub looks_at_m: [f64; 3],
-    /// Settings of the adapter.
+    /// Settings of the device, a table for each kind, for example `[camera.settings.mock]`. Only that of `kind` is read.
     pub settings: toml::Table,
 }
 
@@ -71,7 +74,8 @@ impl Default for CameraConfig {
     /// Above the tray, a little to the side, so that sides of objects are seen too.
     fn default() -> Self {
         Self {
-            adapter: "mock".to_owned(),
+            kind: "mock".to_owned(),
+            address: String::new(),
             max_age_s: 0.5,
             position_m: [0.0, -0.25, 0.75],
             looks_at_m: [0.0, 0.0, 0.02],
@@ -84,8 +88,14 @@ impl Default for CameraConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ArmConfig {
-    /// Adapter by name, for example `mock`.
-    pub adapter: String,
+    /// Which kind of arm, for example `mock` or `ur`.
+    #[serde(alias = "adapter")]
+    pub kind: String,
+    /// Where it is: address or name of its controller, `emulator` for one that is emulated in this process. Mock arms have
+    /// none.
+    pub address: String,
+    /// Motion is allowed. Without it, nothing but a mock arm moves.
+    pub armed: bool,
     /// Speed through the air, metres per second.
     pub speed_m_s: f64,
     /// Acceleration, metres per second squared. The mock arm always accelerates with 2 and refuses less.
@@ -96,14 +106,16 @@ pub struct ArmConfig {
     pub lift_speed_m_s: f64,
     /// Speed with an object in the hand, metres per second.
     pub carry_speed_m_s: f64,
-    /// Settings of the adapter.
+    /// Settings of the device, a table for each kind, for example `[arm.settings.ur]`. Only that of `kind` is read.
     pub settings: toml::Table,
 }
 
 impl Default for ArmConfig {
     fn default() -> Self {
         Self {
-            adapter: "mock".to_owned(),
+            kind: "mock".to_owned(),
+            address: String::new(),
+            armed: false,
             speed_m_s: 0.5,
             acceleration_m_s2: 2.0,
             approach_speed_m_s: 0.1,
@@ -120,15 +132,21 @@ impl Default for ArmConfig {
 pub struct HandConfig {
     /// Id of the hand in the planner (`graspd hands list`), for example `leap`.
     pub id: String,
-    /// Adapter by name, for example `mock`.
-    pub adapter: String,
+    /// Which kind of hand, for example `mock`, `robotiq-2f`, `robotiq-3f` or `leap`.
+    #[serde(alias = "adapter")]
+    pub kind: String,
+    /// Where it is: a serial port, or `socket://`, `modbus://` or `rtu://` with host and port; `emulator` for one that is
+    /// emulated in this process. Mock hands have none.
+    pub address: String,
+    /// Motion is allowed. Without it, nothing but a mock hand moves.
+    pub armed: bool,
     /// Time in which all fingers go from open to where contact is expected, to arrive there together, seconds.
     pub meet_s: f64,
     /// Share of the speed when opening, and when closing from contact on, more than 0, at most 1.
     pub speed: f64,
     /// Share of the force when closing, more than 0, at most 1.
     pub force: f64,
-    /// Settings of the adapter.
+    /// Settings of the device, a table for each kind, for example `[hand.settings.leap]`. Only that of `kind` is read.
     pub settings: toml::Table,
 }
 
@@ -136,7 +154,9 @@ impl Default for HandConfig {
     fn default() -> Self {
         Self {
             id: "robotiq-2f85".to_owned(),
-            adapter: "mock".to_owned(),
+            kind: "mock".to_owned(),
+            address: String::new(),
+            armed: false,
             meet_s: 0.5,
             speed: 0.5,
             force: 0.7,

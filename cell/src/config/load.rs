@@ -144,6 +144,10 @@ mod tests {
             ),
             ("[hand]\nid = \"\"", "hand.id: found \"\", expected the id of a hand"),
             ("[hand]\nid = 3", "expected a string"),
+            (
+                "[arm.settings]\nreach_m = 1.0",
+                "arm.settings.reach_m: found 1.0, expected a table for each kind of arm",
+            ),
             ("[tary]", "unknown field `tary`"),
             ("[tray]\nwidht_m = 0.3", "unknown field `widht_m`, expected one of"),
             ("[planner]\nreaching = \"up\"", "unknown variant `up`, expected one of `top_down`"),

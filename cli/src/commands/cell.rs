@@ -60,6 +60,9 @@ struct RunArgs {
     /// Seed of the simulated scene
     #[arg(long, value_name = "SEED")]
     scene_seed: Option<u64>,
+    /// Allow motion of all devices, whatever the file says
+    #[arg(long)]
+    arm_motion: bool,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -79,16 +82,7 @@ pub(crate) fn run(args: &CellArgs) -> anyhow::Result<()> {
 impl RunArgs {
     /// The file, then the environment, then the flags.
     fn config(&self) -> anyhow::Result<CellConfig> {
-        let mut config = match &self.config {
-            Some(path) => {
-                let name = path.display();
-                let text =
-                    std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
-                CellConfig::parse(&text).with_context(|| format!("{name}"))?
-            }
-            None => CellConfig::default(),
-        };
-        config.apply_environment(|name| std::env::var(name).ok())?;
+        let mut config = crate::devices::read(self.config.as_deref())?;
         if let Some(hand) = &self.hand {
             config.hand.id.clone_from(hand);
         }
@@ -99,6 +93,8 @@ impl RunArgs {
             config.planner.endpoint.clone_from(url);
             config.planner.embedded = false;
         }
+        config.arm.armed |= self.arm_motion;
+        config.hand.armed |= self.arm_motion;
         config.run.trials = self.trials.unwrap_or(config.run.trials);
         config.run.seed = self.seed.unwrap_or(config.run.seed);
         let simulation = config.simulation.get_or_insert_default();
@@ -118,17 +114,13 @@ fn run_cell(args: &RunArgs) -> anyhow::Result<()> {
     let config = args.config()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let report = runtime.block_on(async {
-        let devices = world::devices(&config).await?;
+        // The emulated devices live until the run has ended.
+        let world::Devices { camera, arm, hand, witness, trouble: _trouble } =
+            world::devices(&config).await?;
         with_planner(&config, async |planner| {
             let stop = Arc::new(AtomicBool::new(false));
             let mut progress = Progress::new(&config, Arc::clone(&stop));
-            let cell = Cell {
-                camera: devices.camera,
-                arm: devices.arm,
-                hand: devices.hand,
-                planner: Arc::new(planner),
-                witness: Some(devices.witness),
-            };
+            let cell = Cell { camera, arm, hand, planner: Arc::new(planner), witness: Some(witness) };
             let report = tokio::select! {
                 report = clear_tray(&cell, &config, &mut progress) => report?,
                 () = interrupted(&stop) => anyhow::bail!("interrupted at once: the arm stands where it was"),

@@ -7,6 +7,10 @@ pub(crate) mod cell;
 #[cfg(feature = "sim")]
 pub(crate) mod dataset;
 pub(crate) mod demo;
+#[cfg(feature = "devices")]
+pub(crate) mod device;
+#[cfg(feature = "devices")]
+pub(crate) mod emulate;
 #[cfg(feature = "sim")]
 pub(crate) mod eval;
 pub(crate) mod hands;

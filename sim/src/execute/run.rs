@@ -227,11 +227,11 @@ impl Run<'_> {
                 let envelope = (1.0 - (PI * ramp).cos()) / 2.0;
                 let mut at = center;
                 at.translation.vector[axis] += self.settings.shake_m * envelope * (TAU * hz * t).sin();
-                self.world.guide(self.hand, &at);
+                self.world.guide(self.hand, &at, f64::INFINITY);
                 self.world.step();
             }
         }
-        self.world.guide(self.hand, &center);
+        self.world.guide(self.hand, &center, f64::INFINITY);
         for _ in 0..self.steps(CALM_S) {
             self.world.step();
         }

@@ -58,6 +58,12 @@ pub trait Plant: Send + 'static {
     fn advance(&mut self, elapsed: Duration, commands: &[MotorCommand], states: &mut [MotorState]);
 }
 
+impl<P: Plant + ?Sized> Plant for Box<P> {
+    fn advance(&mut self, elapsed: Duration, commands: &[MotorCommand], states: &mut [MotorState]) {
+        (**self).advance(elapsed, commands, states);
+    }
+}
+
 /// Fastest speed of an X330 motor without load, radians per second (about 103 rpm).
 const FASTEST_RAD_S: f64 = 10.8;
 /// Current that a motor uses for each radian that it lacks, milliamperes; a proportional gain of some 450.

@@ -117,7 +117,7 @@ impl Machine {
         self.advance(now);
         let status = encode::status(self);
         self.heard = now;
-        if self.fault == fault::SILENT {
+        if self.config.model == Model::TwoFinger && self.fault == fault::SILENT {
             // Somebody talks again.
             self.fault = 0;
         }
@@ -160,7 +160,9 @@ impl Machine {
             self.plant.advance(Duration::ZERO, &commands, &mut self.axes);
         }
         self.pass(now);
-        if self.fault == 0 && now.saturating_duration_since(self.heard) > SILENCE {
+        // To a 3-Finger this code means something else.
+        let tells = self.config.model == Model::TwoFinger;
+        if tells && self.fault == 0 && now.saturating_duration_since(self.heard) > SILENCE {
             self.fault = fault::SILENT;
         }
     }

@@ -45,6 +45,12 @@ pub trait Plant: Send + 'static {
     fn advance(&mut self, elapsed: Duration, commands: &[AxisCommand], states: &mut [AxisState]);
 }
 
+impl<P: Plant + ?Sized> Plant for Box<P> {
+    fn advance(&mut self, elapsed: Duration, commands: &[AxisCommand], states: &mut [AxisState]) {
+        (**self).advance(elapsed, commands, states);
+    }
+}
+
 /// Motors that go to their targets at their speed, and stop at objects.
 #[derive(Debug)]
 pub struct KinematicPlant {

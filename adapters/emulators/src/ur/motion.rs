@@ -130,6 +130,13 @@ impl Mover {
         self.given
     }
 
+    /// Once it stands, it means to be where it is.
+    pub(crate) fn settle(&mut self, q: Six) {
+        if self.is_standing() {
+            self.q = q;
+        }
+    }
+
     /// Brakes as a program does that ends or is replaced.
     pub(crate) fn brake(&mut self) {
         self.order(Order::StopJoint { deceleration: DEFAULT_STOP });

@@ -315,6 +315,10 @@ impl Robot {
         if let Some(why) = self.state.protective_stop.take() {
             self.set_safety(Safety::ProtectiveStop, &why);
         }
+        if self.safety != Safety::Normal {
+            // What stopped itself does not go on pressing to where it was going: it holds where it is.
+            self.mover.settle(self.state.q);
+        }
         let wrench = self.wrench();
         let force = (wrench[0].powi(2) + wrench[1].powi(2) + wrench[2].powi(2)).sqrt();
         if self.safety == Safety::Normal && force > self.stop_force_n {

@@ -2,13 +2,14 @@
 
 use std::time::Duration;
 
+use graspd_adapters_core::check::Finding;
 use graspd_adapters_core::{DeviceError, FaultKind};
 use graspd_adapters_dynamixel::table::{self, hardware_errors};
 use tokio::time::{Instant, sleep};
 
 use super::Driver;
 use crate::bus::SUPPLY;
-use crate::report::{Finding, JointReport};
+use crate::report::JointReport;
 
 /// Longest time that a motor boots.
 const BOOT: Duration = Duration::from_secs(2);
@@ -190,11 +191,7 @@ impl Driver {
                 findings.push(Finding::bad("motors", error.to_string(), "ask again: the line is disturbed"));
             }
         }
-        findings.push(if self.armed {
-            Finding::good("motion", "armed")
-        } else {
-            Finding::bad("motion", "not armed", "set `armed = true` in the settings when nobody is in reach")
-        });
+        findings.push(Finding::of_arming(self.armed));
         findings
     }
 

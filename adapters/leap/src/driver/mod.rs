@@ -11,7 +11,8 @@ use graspd_adapters_core::{DeviceError, FaultKind, HandState};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-pub(crate) use orders::{Order, Patience, Reply};
+use graspd_adapters_core::task::{Patience, Reply};
+pub(crate) use orders::{Joints, Order};
 
 use crate::bus::{Bus, BusError};
 use crate::joints::Joint;

@@ -2,54 +2,22 @@
 
 use std::time::Duration;
 
-use graspd_adapters_core::{CloseCommand, DeviceError, FaultKind, GripCommand, HandState};
-use tokio::sync::oneshot;
-use tokio::time::Instant;
+use graspd_adapters_core::task::{HandOrder, Patience, Reply, tell};
+use graspd_adapters_core::{DeviceError, FaultKind, GripCommand, HandState};
 
 use super::{Driver, Running};
 use crate::motion::{Bounds, Motion};
-use crate::report::{Finding, JointReport};
+use crate::report::JointReport;
 
-/// Where an answer goes.
-pub(crate) type Reply<T> = oneshot::Sender<Result<T, DeviceError>>;
-
-/// A motion ends so much before its caller's time is up, so that the answer comes in time.
-const AHEAD: Duration = Duration::from_millis(25);
 /// Slowest share of speed: a motion never takes forever.
 const SLOWEST: f64 = 0.02;
 
-/// How long a caller waits.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Patience {
-    /// What it allowed.
-    pub(crate) timeout: Duration,
-    /// When a motion must have ended.
-    pub(crate) until: Instant,
-}
-
-impl Patience {
-    /// From now on.
-    pub(crate) fn of(timeout: Duration) -> Self {
-        Self { timeout, until: Instant::now() + timeout.saturating_sub(AHEAD) }
-    }
-}
+/// What only this hand is asked: its joints.
+#[derive(Debug)]
+pub(crate) struct Joints(pub(crate) Reply<Vec<JointReport>>);
 
 /// What callers ask.
-pub(crate) enum Order {
-    State(Reply<HandState>),
-    Grip(GripCommand, Patience, Reply<HandState>),
-    Close(CloseCommand, Patience, Reply<HandState>),
-    Stop(Reply<()>),
-    Clear(Reply<()>),
-    Arm(bool, Reply<()>),
-    Joints(Reply<Vec<JointReport>>),
-    Check(oneshot::Sender<Vec<Finding>>),
-}
-
-/// Sends an answer; a caller that gave up is no error.
-fn tell<T>(reply: oneshot::Sender<T>, answer: T) {
-    let _unheard = reply.send(answer);
-}
+pub(crate) type Order = HandOrder<Joints>;
 
 impl Driver {
     pub(super) async fn obey(&mut self, order: Order) {
@@ -77,7 +45,7 @@ impl Driver {
                 let answer = self.stop("stop").await;
                 tell(reply, answer);
             }
-            Order::Clear(reply) => {
+            Order::Clear(_, reply) => {
                 let answer = self.clear().await;
                 tell(reply, answer);
             }
@@ -85,7 +53,7 @@ impl Driver {
                 let answer = self.arm(armed).await;
                 tell(reply, answer);
             }
-            Order::Joints(reply) => {
+            Order::Own(Joints(reply)) => {
                 let answer = self.joints().await;
                 tell(reply, answer);
             }

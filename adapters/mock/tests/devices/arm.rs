@@ -325,6 +325,6 @@ async fn an_arm_whose_base_is_nowhere_is_refused() {
     for base_m in [[f64::NAN, 0.4, 0.15], [0.0, f64::INFINITY, 0.15]] {
         let settings = ArmSettings { base_m, ..ArmSettings::default() };
         let error = MockArm::new(&shared, hand, settings, Faults::default()).unwrap_err();
-        assert_eq!((error.field.as_str(), error.expected), ("base_m", "a finite number"));
+        assert_eq!((error.field.as_str(), error.expected.as_str()), ("base_m", "a finite number"));
     }
 }

@@ -242,6 +242,6 @@ async fn a_frame_rate_that_cannot_be_counted_is_refused() {
         let settings = CameraSettings { frame_rate_hz, ..CameraSettings::default() };
         let sensor = Sensor::ideal(lens());
         let error = MockCamera::new(&shared, settings, sensor, mount, Faults::default()).unwrap_err();
-        assert_eq!((error.field.as_str(), error.expected), ("frame_rate_hz", expected));
+        assert_eq!((error.field.as_str(), error.expected.as_str()), ("frame_rate_hz", expected));
     }
 }

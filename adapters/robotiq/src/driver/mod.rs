@@ -10,7 +10,7 @@ use graspd_adapters_core::{DeviceError, FaultKind, HandState};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-pub(crate) use orders::{Order, Patience, Reply, Together};
+pub(crate) use orders::{Order, Own, Together};
 use steps::Running;
 
 use crate::calibration::Actuators;

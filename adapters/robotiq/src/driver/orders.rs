@@ -1,56 +1,30 @@
 //! What callers ask of the task, and how it obeys.
 
-use std::time::Duration;
-
-use graspd_adapters_core::{CloseCommand, DeviceError, FaultKind, GripCommand, HandState};
-use tokio::sync::oneshot;
-use tokio::time::Instant;
+use graspd_adapters_core::check::Finding;
+use graspd_adapters_core::task::{HandOrder, Patience, Reply, tell};
+use graspd_adapters_core::{CloseCommand, DeviceError, FaultKind, HandState};
 
 use super::Driver;
 use super::steps::{Running, Step, Waits};
 use crate::calibration::share_count;
-use crate::report::{AxisReport, Finding, GripperReport};
+use crate::report::{AxisReport, GripperReport};
 use crate::settings::Model;
 use crate::wire::{AxisRequest, Mode, Phase, Status};
 
-/// Where an answer goes.
-pub(crate) type Reply<T> = oneshot::Sender<Result<T, DeviceError>>;
-
-/// A motion ends so much before its caller's time is up, so that the answer comes in time.
-const AHEAD: Duration = Duration::from_millis(50);
 /// Millimetres of a 3-Finger's fingertip for one count, roughly: 155 mm over its range.
 const THREE_MM_PER_COUNT: f64 = 155.0 / 255.0;
 
-/// How long a caller waits.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Patience {
-    /// What it allowed.
-    pub(crate) timeout: Duration,
-    /// When a motion must have ended.
-    pub(crate) until: Instant,
-}
-
-impl Patience {
-    /// From now on.
-    pub(crate) fn of(timeout: Duration) -> Self {
-        Self { timeout, until: Instant::now() + timeout.saturating_sub(AHEAD) }
-    }
-}
-
 /// What callers ask.
-pub(crate) enum Order {
-    State(Reply<HandState>),
-    Grip(GripCommand, Patience, Reply<HandState>),
-    Close(CloseCommand, Patience, Reply<HandState>),
+pub(crate) type Order = HandOrder<Own>;
+
+/// What only these grippers are asked.
+#[derive(Debug)]
+pub(crate) enum Own {
     Together(Together, Patience, Reply<HandState>),
-    /// To a count, all motors; answers with the counts that were reached.
+    /// To a count, all motors.
     Count(u8, Patience, Reply<HandState>),
     Release(bool, Patience, Reply<()>),
-    Stop(Reply<()>),
-    Clear(Patience, Reply<()>),
-    Arm(bool, Reply<()>),
     Report(Reply<GripperReport>),
-    Check(oneshot::Sender<Vec<Finding>>),
 }
 
 /// What a 3-Finger is asked in one of its modes.
@@ -61,11 +35,6 @@ pub(crate) struct Together {
     pub(crate) closed: f64,
     pub(crate) speed: f64,
     pub(crate) force: f64,
-}
-
-/// Sends an answer; a caller that gave up is no error.
-pub(super) fn tell<T>(reply: oneshot::Sender<T>, answer: T) {
-    let _unheard = reply.send(answer);
 }
 
 impl Driver {
@@ -91,7 +60,7 @@ impl Driver {
                 }
                 Err(error) => tell(reply, Err(error)),
             },
-            Order::Together(Together { mode, closed, speed, force }, patience, reply) => {
+            Order::Own(Own::Together(Together { mode, closed, speed, force }, patience, reply)) => {
                 match self.ready_to_move(&reply).await {
                     Ok(status) => {
                         let count = share_count(closed, (0.0, 1.0));
@@ -103,7 +72,7 @@ impl Driver {
                     Err(error) => tell(reply, Err(error)),
                 }
             }
-            Order::Count(count, patience, reply) => match self.ready_to_move(&reply).await {
+            Order::Own(Own::Count(count, patience, reply)) => match self.ready_to_move(&reply).await {
                 Ok(status) => {
                     let counts = vec![count; status.axes.len()];
                     let axes = self.requests(&counts, &vec![self.speed(0.5); counts.len()], 0.0);
@@ -111,7 +80,7 @@ impl Driver {
                 }
                 Err(error) => tell(reply, Err(error)),
             },
-            Order::Release(opens, patience, reply) => {
+            Order::Own(Own::Release(opens, patience, reply)) => {
                 let allowed = self.refuse_unarmed().and_then(|()| self.refuse_busy());
                 match allowed {
                     Ok(()) => {
@@ -133,7 +102,7 @@ impl Driver {
                 let stopped = if disarms { self.stop().await } else { Ok(()) };
                 tell(reply, stopped);
             }
-            Order::Report(reply) => {
+            Order::Own(Own::Report(reply)) => {
                 let answer = self.look().await.map(|status| self.report(&status));
                 tell(reply, answer);
             }
@@ -324,11 +293,7 @@ impl Driver {
                 "clear the fault to activate it: its fingers open and close once",
             )
         });
-        findings.push(if self.armed {
-            Finding::good("motion", "armed")
-        } else {
-            Finding::bad("motion", "not armed", "set `armed = true` in the settings when nobody is in reach")
-        });
+        findings.push(Finding::of_arming(self.armed));
         findings
     }
 }

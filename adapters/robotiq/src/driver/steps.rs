@@ -3,11 +3,11 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use graspd_adapters_core::task::{Patience, Reply, tell};
 use graspd_adapters_core::{DeviceError, FaultKind, HandState};
 use tokio::time::Instant;
 
 use super::Driver;
-use super::orders::{Patience, Reply, tell};
 use crate::settings::Model;
 use crate::wire::{AxisRequest, AxisStatus, Fault, Mode, Motion, Phase, Request, Status};
 

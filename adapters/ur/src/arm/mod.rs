@@ -6,6 +6,7 @@ mod recover;
 use std::sync::Arc;
 use std::time::Duration;
 
+use graspd_adapters_core::check::SettingsError;
 use graspd_adapters_core::{
     Arm, ArmInfo, ArmMode, ArmState, DeviceError, FaultKind, Limits, Reached, async_trait,
 };
@@ -14,7 +15,7 @@ use tokio::sync::{Mutex, broadcast, mpsc, oneshot};
 use tokio::task::AbortHandle;
 use tokio::time::Instant;
 
-use crate::config::{ConfigError, UrConfig};
+use crate::config::UrConfig;
 use crate::dashboard::Dashboard;
 use crate::events::UrEvent;
 use crate::kinematics::Kinematics;
@@ -32,6 +33,7 @@ pub struct UrArm {
     pub(crate) orders: mpsc::UnboundedSender<Order>,
     pub(crate) kinematics: Kinematics,
     pub(crate) world_from_base: Isometry3<f64>,
+    flange_from_hand: Isometry3<f64>,
     dashboard: Dashboard,
     uploaded: Mutex<Uploaded>,
     task: AbortHandle,
@@ -52,9 +54,12 @@ pub(crate) struct Call {
     pub(crate) until: Instant,
 }
 
+/// Longer than anybody waits: a caller's time is cut to it, so that no clock overflows.
+const LONGEST: Duration = Duration::from_secs(24 * 3600);
+
 impl Call {
     pub(crate) fn new(operation: &'static str, timeout: Duration) -> Self {
-        Self { operation, timeout, until: Instant::now() + timeout }
+        Self { operation, timeout, until: Instant::now() + timeout.min(LONGEST) }
     }
 }
 
@@ -62,18 +67,19 @@ impl UrArm {
     /// Checks settings and begins to connect. Must be called inside a tokio runtime.
     ///
     /// # Errors
-    /// [`ConfigError`].
-    pub fn new(config: UrConfig) -> Result<Self, ConfigError> {
+    /// [`SettingsError`].
+    pub fn new(config: UrConfig) -> Result<Self, SettingsError> {
         config.check()?;
         let kinematics = Kinematics::new(config.model);
         let world_from_base = config.world_from_base();
+        let flange_from_hand = config.flange_from_hand();
         let connect = Duration::from_secs_f64(config.connect_timeout_s);
         let dashboard = Dashboard::new(config.host.clone(), config.ports.dashboard, connect);
         let shared = Arc::new(Shared::new(config));
         let (orders, received) = mpsc::unbounded_channel();
         let task = tokio::spawn(run(shared.clone(), received)).abort_handle();
         let uploaded = Mutex::new(Uploaded::default());
-        Ok(Self { shared, orders, kinematics, world_from_base, dashboard, uploaded, task })
+        Ok(Self { shared, orders, kinematics, world_from_base, flange_from_hand, dashboard, uploaded, task })
     }
 
     /// Its settings.
@@ -86,15 +92,17 @@ impl UrArm {
         &self.kinematics
     }
 
-    /// True when some posture takes the flange to a pose inside the workspace.
-    pub fn reaches(&self, world_from_flange: &Isometry3<f64>) -> bool {
-        let inside = self.config().limits.workspace.contains(&world_from_flange.translation.vector);
-        inside && self.kinematics.reaches(&(self.world_from_base.inverse() * world_from_flange))
+    /// True when some posture takes the hand to a pose at which the flange is inside the workspace.
+    pub fn reaches(&self, world_from_hand: &Isometry3<f64>) -> bool {
+        let base_from_flange = self.base_from_flange(world_from_hand);
+        let flange = self.world_from_base * base_from_flange;
+        let inside = self.config().limits.workspace.contains(&flange.translation.vector);
+        inside && self.kinematics.reaches(&base_from_flange)
     }
 
-    /// The controller's dashboard.
-    pub fn dashboard(&self) -> &Dashboard {
-        &self.dashboard
+    /// Where the flange must be for the hand to be at a pose.
+    pub(crate) fn base_from_flange(&self, world_from_hand: &Isometry3<f64>) -> Isometry3<f64> {
+        self.world_from_base.inverse() * world_from_hand * self.flange_from_hand.inverse()
     }
 
     /// What happens from now on.
@@ -236,7 +244,7 @@ impl Arm for UrArm {
         } else {
             ArmMode::Ready
         };
-        let world_from_flange = self.world_from_base * self.flange(&state);
+        let world_from_flange = self.world_from_base * self.flange(&state) * self.flange_from_hand;
         Ok(ArmState { mode, world_from_flange, joints: state.joints.to_vec() })
     }
 

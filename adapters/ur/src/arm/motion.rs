@@ -3,19 +3,25 @@
 use std::time::Duration;
 
 use graspd_adapters_core::{DeviceError, FaultKind, Limits, Reached};
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
 use super::{Call, UrArm};
-use crate::kinematics::Joints;
-use crate::plan::{Allowed, Pace, joint_motion, joint_pace, line_pace};
+use crate::kinematics::{Joints, joint_distance};
+use crate::plan::{Allowed, Pace, Refusal, joint_motion, joint_pace, line_pace};
 use crate::script::{Command, CommandKind, result};
 use crate::session::{Order, Status};
 use crate::state::{RobotState, pose_to};
 
 /// A command that the script does not take within this time will not be taken.
 const TAKEN: Duration = Duration::from_secs(2);
+/// An arm that is pressed on with so many times `limits.force_n` may only give way.
+const PRESSED: f64 = 1.5;
+/// An arm whose joints went farther than this since a motion was planned has moved, radians.
+const MOVED_RAD: f64 = 0.01;
+/// Time in which an arm settles at its goal.
+const SETTLES: Duration = Duration::from_millis(500);
 /// Added to the time of braking: what messages need on their way.
 const GRACE: Duration = Duration::from_millis(150);
 
@@ -208,17 +214,26 @@ impl UrArm {
 
     /// What the controller calls done is compared with where the arm is.
     async fn arrived(&self, call: Call, goal: Option<&Isometry3<f64>>) -> Result<(), DeviceError> {
-        let settle = Instant::now() + Duration::from_millis(500);
-        let until = call.until.min(settle);
-        let state = match self.wait_for(call, until, RobotState::is_standing).await {
-            Err(DeviceError::Timeout { .. }) => self.fresh(call).await?,
-            state => state?,
-        };
-        let Some(goal) = goal else { return Ok(()) };
-        let found = self.flange(&state);
-        let way = (found.translation.vector - goal.translation.vector).norm();
-        let angle = found.rotation.angle_to(&goal.rotation);
+        // What the controller calls done may still settle for a moment.
+        let until = call.until.min(Instant::now() + SETTLES);
         let arrival = self.config().arrival;
+        let off = |state: &RobotState| {
+            goal.map_or((0.0, 0.0), |goal| {
+                let found = self.flange(state);
+                let way = (found.translation.vector - goal.translation.vector).norm();
+                (way, found.rotation.angle_to(&goal.rotation))
+            })
+        };
+        let there = |state: &RobotState| {
+            let (way, angle) = off(state);
+            state.is_standing() && way <= arrival.position_m && angle <= arrival.angle_rad
+        };
+        match self.wait_for(call, until, there).await {
+            Ok(_) => return Ok(()),
+            Err(DeviceError::Timeout { .. }) => {}
+            Err(error) => return Err(error),
+        }
+        let (way, angle) = off(&*self.fresh(call).await?);
         if way <= arrival.position_m && angle <= arrival.angle_rad {
             return Ok(());
         }
@@ -254,7 +269,45 @@ impl UrArm {
         if !t.iter().chain(r.iter()).all(|v| v.is_finite()) {
             return Err(self.out_of_range("world_from_flange", world_from_flange, "finite numbers"));
         }
-        Ok(self.world_from_base.inverse() * world_from_flange)
+        Ok(self.base_from_flange(world_from_flange))
+    }
+
+    /// Plans a motion from where the arm is, makes sure that the control script runs, and plans it again where the arm
+    /// has moved meanwhile (an upload takes a while, in which a person may push it): what begins has been looked at from
+    /// where it begins. What is refused is refused before anything is uploaded.
+    async fn planned(
+        &self,
+        call: Call,
+        plan: impl Fn(&RobotState) -> Result<Command, Refusal>,
+    ) -> Result<Command, DeviceError> {
+        let before = self.fresh(call).await?;
+        self.admit(&before)?;
+        let command = plan(&before).map_err(|r| self.refused(r))?;
+        self.control(call).await?;
+        let state = self.fresh(call).await?;
+        self.admit(&state)?;
+        if joint_distance(&before.joints, &state.joints) <= MOVED_RAD {
+            return Ok(command);
+        }
+        plan(&state).map_err(|r| self.refused(r))
+    }
+
+    /// An arm that presses hard already may only move away from what presses on it.
+    pub(crate) fn refuse_pressing(
+        &self,
+        state: &RobotState,
+        base_from_goal: Option<&Isometry3<f64>>,
+    ) -> Result<(), Refusal> {
+        let [x, y, z, ..] = state.wrench;
+        let force = Vector3::new(x, y, z);
+        let most = PRESSED * self.config().limits.force_n;
+        let way = base_from_goal.map(|goal| goal.translation.vector - self.flange(state).translation.vector);
+        if force.norm() <= most || way.is_some_and(|way| way.dot(&force) >= 0.0) {
+            return Ok(());
+        }
+        let found = format!("{:.0} N at the flange before it begins", force.norm());
+        let expected = format!("at most {most:.0} N, or a motion away from what presses");
+        Err(Refusal { field: "force", found, expected })
     }
 
     /// Takes joints to joints, all at the same time.
@@ -274,11 +327,13 @@ impl UrArm {
             let expected = format!("joint {joint} from {} to {}", limits.lower[joint], limits.upper[joint]);
             return Err(self.out_of_range("joints", to[joint], &expected));
         }
-        let state = self.fresh(call).await?;
-        self.admit(&state)?;
-        let pace = joint_pace(&self.kinematics, &self.world_from_base, &state.joints, to, allowed)
-            .map_err(|r| self.refused(r))?;
-        let command = self.paced(CommandKind::Joints, pace, *to);
+        let goal = self.kinematics.forward(to);
+        let plan = |state: &RobotState| {
+            self.refuse_pressing(state, Some(&goal))?;
+            let pace = joint_pace(&self.kinematics, &self.world_from_base, &state.joints, to, allowed)?;
+            Ok(self.paced(CommandKind::Joints, pace, *to))
+        };
+        let command = self.planned(call, plan).await?;
         self.carry_out(call, limits, command, None).await.map(|_| ())
     }
 
@@ -302,16 +357,15 @@ impl UrArm {
     ) -> Result<Reached, DeviceError> {
         let allowed = self.check_limits(limits)?;
         let goal = self.in_base(world_from_flange)?;
-        let state = self.fresh(call).await?;
-        self.admit(&state)?;
-        let from = (&self.flange(&state), &state.joints);
-        let pace = line_pace(&self.kinematics, &self.world_from_base, from, &goal, allowed)
-            .map_err(|r| self.refused(r))?;
         let kind = if force_n.is_some() { CommandKind::Contact } else { CommandKind::Line };
-        let mut command = self.paced(kind, pace, pose_to(&goal));
-        if let Some(force_n) = force_n {
-            command.force_n = force_n;
-        }
+        let plan = |state: &RobotState| {
+            self.refuse_pressing(state, Some(&goal))?;
+            let from = (&self.flange(state), &state.joints);
+            let pace = line_pace(&self.kinematics, &self.world_from_base, from, &goal, allowed)?;
+            let command = self.paced(kind, pace, pose_to(&goal));
+            Ok(Command { force_n: force_n.unwrap_or(command.force_n), ..command })
+        };
+        let command = self.planned(call, plan).await?;
         self.carry_out(call, limits, command, Some(&goal)).await
     }
 
@@ -324,12 +378,13 @@ impl UrArm {
     ) -> Result<(), DeviceError> {
         let allowed = self.check_limits(limits)?;
         let goal = self.in_base(world_from_flange)?;
-        let state = self.fresh(call).await?;
-        self.admit(&state)?;
-        let planned = joint_motion(&self.kinematics, &self.world_from_base, &state.joints, &goal, allowed);
-        let (near, pace) = planned.map_err(|r| self.refused(r))?;
-        let mut command = self.paced(CommandKind::Pose, pace, pose_to(&goal));
-        command.near = near;
+        let plan = |state: &RobotState| {
+            self.refuse_pressing(state, Some(&goal))?;
+            let (arm, base) = (&self.kinematics, &self.world_from_base);
+            let (near, pace) = joint_motion(arm, base, &state.joints, &goal, allowed)?;
+            Ok(Command { near, ..self.paced(CommandKind::Pose, pace, pose_to(&goal)) })
+        };
+        let command = self.planned(call, plan).await?;
         self.carry_out(call, limits, command, Some(&goal)).await.map(|_| ())
     }
 }

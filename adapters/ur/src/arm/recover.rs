@@ -12,6 +12,9 @@ use crate::script::{Command, CommandKind};
 use crate::session::Order;
 use crate::state::RobotMode;
 
+/// An arm that does not stay unlocked for so long stops itself again.
+const RELEASED: Duration = Duration::from_secs(2);
+
 impl UrArm {
     /// Switches power on and releases the brakes, and waits until the arm can be moved.
     ///
@@ -80,29 +83,46 @@ impl UrArm {
     }
 
     async fn unlock(&self, call: Call) -> Result<(), DeviceError> {
-        if !self.config().unlock_protective_stop {
+        if !(self.config().armed && self.config().unlock_protective_stop) {
             let detail = "protective stop: a person inspects the cause and unlocks it on the pendant (or \
-                          unlock_protective_stop is set to let software do it)";
+                          unlock_protective_stop is set, on an arm that is armed, to let software do it)";
             return Err(self.fault(FaultKind::Other, detail));
         }
+        let mut why = "the protective stop was not unlocked".to_owned();
         loop {
             let asked = async {
                 self.dashboard.close_safety_popup().await?;
                 self.dashboard.unlock_protective_stop().await
             };
+            // What is told at the end of the time says why, while there is a why.
+            let late = || self.fault(FaultKind::ProtectiveStop, format!("{why}, within {:?}", call.timeout));
             match tokio::time::timeout_at(call.until, asked).await {
-                Err(_) => return Err(self.timed_out(call)),
-                Ok(Err(DashboardError::TooEarly(why))) => {
-                    tracing::info!(why, "waiting to unlock");
+                Err(_) => return Err(late()),
+                Ok(Err(DashboardError::TooEarly(too_early))) => {
+                    tracing::info!(too_early, "waiting to unlock");
                     let wait = Instant::now() + Duration::from_millis(250);
                     if wait >= call.until {
-                        return Err(self.timed_out(call));
+                        return Err(late());
                     }
                     tokio::time::sleep_until(wait).await;
                 }
                 Ok(Err(error)) => return Err(self.fault(FaultKind::ProtectiveStop, error.to_string())),
                 Ok(Ok(())) => {
-                    return self.wait_for(call, call.until, |s| s.safety.allows_motion()).await.map(|_| ());
+                    let soon = call.until.min(Instant::now() + RELEASED);
+                    match self.wait_for(call, soon, |s| s.safety.allows_motion()).await {
+                        Ok(_) => return Ok(()),
+                        Err(DeviceError::Timeout { .. }) if Instant::now() >= call.until => {
+                            return Err(late());
+                        }
+                        Err(DeviceError::Timeout { .. }) => {
+                            let words =
+                                self.shared.words().back().map_or(String::new(), |w| format!(" ({w})"));
+                            why = format!(
+                                "it stops itself again whenever it is unlocked{words}: something presses on it"
+                            );
+                        }
+                        Err(error) => return Err(error),
+                    }
                 }
             }
         }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use graspd_adapters_core::Limits;
 use graspd_adapters_emulators::ur::{Plant, UrEmulator, UrPorts, UrSettings};
-use graspd_adapters_ur::{Ports, UrArm, UrConfig, Workspace};
+use graspd_adapters_ur::{Dashboard, Ports, UrArm, UrConfig, Workspace};
 use nalgebra::Isometry3;
 
 pub(crate) const SOON: Duration = Duration::from_secs(5);
@@ -63,6 +63,13 @@ pub(crate) async fn bench_with(
 }
 
 impl Bench {
+    /// A dashboard of one's own: the arm lends out none.
+    pub(crate) fn dashboard(&self) -> Dashboard {
+        let config = self.arm.config();
+        let limit = Duration::from_secs_f64(config.connect_timeout_s);
+        Dashboard::new(config.host.clone(), config.ports.dashboard, limit)
+    }
+
     pub(crate) fn flange(&self) -> Isometry3<f64> {
         self.emulator.snapshot().base_from_flange
     }

@@ -1,4 +1,4 @@
-//! The devices of a cell: today the mock adapters, in one simulated world.
+//! The devices of a cell, in one simulated world: mock ones, and emulated ones whose wires lead into it.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -6,6 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
 use graspd_adapters_core::{Arm, DepthCamera, Hand};
+use graspd_adapters_emulators::requests::{
+    FaultRequest, FaultyDevice, befall_bus, befall_gripper, befall_ur, carry_out,
+};
+use graspd_adapters_mock::plants::{GripperPlant, MotorPlant, WristMount, WristPlant};
 use graspd_adapters_mock::{
     ArmSettings, Bin, CameraSettings, Census, Faults, HandSettings, MockArm, MockCamera, MockHand, Mount,
     SharedWorld, SharedWorldSettings, WorldEnded,
@@ -18,11 +22,14 @@ use graspd_sim::camera::look_at;
 use graspd_sim::clutter::{Arrangement, Sizes, arrange};
 use graspd_sim::scene;
 use graspd_sim::sensor::Sensor;
-use graspd_sim::world::{ObjectId, Tray, World, WorldSettings};
-use nalgebra::{Point3, Vector3};
+use graspd_sim::world::{HandId, ObjectId, Tray, World, WorldSettings};
+use nalgebra::{Isometry3, Point3, Vector3};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use tokio::task::JoinSet;
 
+use crate::devices::hand::{Body, HandEmulator};
+use crate::devices::{self, EMULATOR, Section, sections};
 use crate::hand_source;
 
 /// Simulated seconds for dropped things to fall and roll before they are counted.
@@ -50,10 +57,13 @@ struct Simulation {
     scene: Option<PathBuf>,
     /// Noise of the depth camera.
     sensor: SensorName,
-    /// How many times as fast as the wall clock the world runs; 0: as fast as it can, on demand.
+    /// How many times as fast as the wall clock the world runs; 0: as fast as it can, on demand. Emulated devices live on
+    /// the wall clock: with them 0 means 1.
     speed: f64,
-    /// What goes wrong.
+    /// What goes wrong with mock devices.
     faults: DeviceFaults,
+    /// What goes wrong with emulated devices.
+    wire_faults: WireFaults,
 }
 
 impl Default for Simulation {
@@ -68,6 +78,7 @@ impl Default for Simulation {
             sensor: SensorName::AzureKinect,
             speed: 0.0,
             faults: DeviceFaults::default(),
+            wire_faults: WireFaults::default(),
         }
     }
 }
@@ -116,12 +127,22 @@ struct DeviceFaults {
     hand: Faults,
 }
 
+/// `[simulation.wire_faults]`: as `graspd emulate --fault` takes them, counted from the beginning of the run.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct WireFaults {
+    arm: Vec<String>,
+    hand: Vec<String>,
+}
+
 /// The devices of a cell, and who knows what became of the objects.
 pub(super) struct Devices {
     pub(super) camera: Arc<dyn DepthCamera>,
     pub(super) arm: Arc<dyn Arm>,
     pub(super) hand: Arc<dyn Hand>,
     pub(super) witness: Arc<dyn Witness>,
+    /// What befalls emulated devices; ends with this.
+    pub(super) trouble: JoinSet<()>,
 }
 
 /// Makes the devices that the configuration names.
@@ -129,14 +150,26 @@ pub(super) struct Devices {
 /// # Errors
 /// For an adapter that is not there, settings that are not in order, an unknown hand.
 pub(super) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
-    for (field, adapter) in [
-        ("camera.adapter", &config.camera.adapter),
-        ("arm.adapter", &config.arm.adapter),
-        ("hand.adapter", &config.hand.adapter),
-    ] {
-        anyhow::ensure!(adapter == "mock", "{field}: found {adapter:?}, expected \"mock\"");
+    let sections = sections(config);
+    sections.iter().try_for_each(Section::check)?;
+    devices::refuse_unarmed(config)?;
+    for section in &sections {
+        // The camera sees a simulated world: what is not in it neither moves nor sees anything there.
+        anyhow::ensure!(
+            section.is_mock() || section.is_emulated(),
+            "{}.address: found {:?}, expected {EMULATOR:?}: {} is a mock device, of a simulated world in which nothing \
+             real moves",
+            section.name,
+            section.address,
+            sections.iter().find(|s| s.is_mock()).map_or("camera", |s| s.name)
+        );
     }
-    let simulation: Simulation = table("simulation", config.simulation.clone().unwrap_or_default())?;
+    let emulated = sections.iter().any(Section::is_emulated);
+    let mut simulation: Simulation = table("simulation", config.simulation.clone().unwrap_or_default())?;
+    if emulated && simulation.speed == 0.0 {
+        simulation.speed = 1.0;
+    }
+    let faults = Trouble::read(&simulation.wire_faults, config)?;
     let hand = library::hand(&config.hand.id).with_context(|| {
         format!("hand.id: {:?}: {}", config.hand.id, hand_source::unknown(&config.hand.id, library::ids()))
     })?;
@@ -156,6 +189,32 @@ pub(super) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
     let drop = Vector3::from(config.drop.position_m);
     let home = pointing_down(&hand.approach, &Vector3::x(), &hand.tool_point.coords, &drop, 0.0);
     let mounted = shared.add_hand(Arc::new(hand.clone()), home, None).await?;
+    let camera = camera(config, &sections[0], &simulation, &shared)?;
+    let mut trouble = JoinSet::new();
+    let (mock_arm, mock_hand) = (simulation.faults.arm.clone(), simulation.faults.hand.clone());
+    let arm: Arc<dyn Arm> = if sections[1].is_mock() {
+        let settings: ArmSettings = sections[1].settings(&[])?;
+        Arc::new(MockArm::new(&shared, mounted, settings, mock_arm).context("arm.settings.mock")?)
+    } else {
+        emulated_arm(config, &shared, mounted, &home, faults.arm, &mut trouble).await?
+    };
+    let hand: Arc<dyn Hand> = if sections[2].is_mock() {
+        let settings: HandSettings = sections[2].settings(&[])?;
+        Arc::new(MockHand::new(&shared, mounted, settings, mock_hand).await.context("hand.settings.mock")?)
+    } else {
+        emulated_hand(config, &shared, mounted, faults.hand, &mut trouble).await?
+    };
+    let witness = Arc::new(SimulatedTruth::new(&shared).await?);
+    Ok(Devices { camera, arm, hand, witness, trouble })
+}
+
+/// A camera of the simulated world: the only kind so far.
+fn camera(
+    config: &CellConfig,
+    section: &Section<'_>,
+    simulation: &Simulation,
+    shared: &SharedWorld,
+) -> anyhow::Result<Arc<dyn DepthCamera>> {
     let mut sensor = match simulation.sensor {
         SensorName::PicoFlexx => Sensor::pico_flexx(),
         SensorName::AzureKinect | SensorName::Ideal => Sensor::azure_kinect(),
@@ -163,22 +222,108 @@ pub(super) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
     if simulation.sensor == SensorName::Ideal {
         sensor = Sensor::ideal(sensor.lens);
     }
-    let point = |p: [f64; 3]| Point3::from(p);
-    let (eye, target) = (point(config.camera.position_m), point(config.camera.looks_at_m));
+    let (eye, target) = (Point3::from(config.camera.position_m), Point3::from(config.camera.looks_at_m));
     let mount = Mount::Fixed { world_from_camera: look_at(&eye, &target, &Vector3::z()) };
-    let camera: CameraSettings = table("camera.settings", config.camera.settings.clone())?;
-    let arm: ArmSettings = table("arm.settings", config.arm.settings.clone())?;
-    let fingers: HandSettings = table("hand.settings", config.hand.settings.clone())?;
-    let faults = simulation.faults;
-    let witness = SimulatedTruth::new(&shared).await?;
-    Ok(Devices {
-        camera: Arc::new(
-            MockCamera::new(&shared, camera, sensor, mount, faults.camera).context("camera.settings")?,
-        ),
-        arm: Arc::new(MockArm::new(&shared, mounted, arm, faults.arm).context("arm.settings")?),
-        hand: Arc::new(MockHand::new(&shared, mounted, fingers, faults.hand).await.context("hand.settings")?),
-        witness: Arc::new(witness),
-    })
+    let settings: CameraSettings = section.settings(&[])?;
+    let camera = MockCamera::new(shared, settings, sensor, mount, simulation.faults.camera.clone());
+    Ok(Arc::new(camera.context("camera.settings.mock")?))
+}
+
+/// Faults of emulated devices to come.
+struct Trouble {
+    arm: Vec<FaultRequest>,
+    hand: Vec<FaultRequest>,
+}
+
+impl Trouble {
+    fn read(faults: &WireFaults, config: &CellConfig) -> anyhow::Result<Self> {
+        let hand = if config.hand.kind == "leap" { FaultyDevice::Dynamixel } else { FaultyDevice::Robotiq };
+        let [_, arm_section, hand_section] = sections(config);
+        for (section, faults) in [(arm_section, &faults.arm), (hand_section, &faults.hand)] {
+            anyhow::ensure!(
+                faults.is_empty() || section.is_emulated(),
+                "simulation.wire_faults.{0}: found {faults:?}, expected none: the {0} is not emulated",
+                section.name
+            );
+        }
+        let read = |name: &str, device, faults: &[String]| {
+            let parsed = faults.iter().map(|fault| FaultRequest::parse(device, fault));
+            parsed.collect::<Result<Vec<_>, _>>().with_context(|| format!("simulation.wire_faults.{name}"))
+        };
+        Ok(Self { arm: read("arm", FaultyDevice::Ur, &faults.arm)?, hand: read("hand", hand, &faults.hand)? })
+    }
+}
+
+/// An arm behind its emulated wire, whose body is the wrist of the world's hand.
+async fn emulated_arm(
+    config: &CellConfig,
+    shared: &SharedWorld,
+    mounted: HandId,
+    home: &Isometry3<f64>,
+    faults: Vec<FaultRequest>,
+    trouble: &mut JoinSet<()>,
+) -> anyhow::Result<Arc<dyn Arm>> {
+    let settings = devices::arm::settings(config)?;
+    let joints = devices::arm::joints_at(&settings, home)?;
+    let mount = WristMount {
+        model: devices::arm::model(&settings)?,
+        world_from_base: settings.world_from_base(),
+        flange_from_hand: settings.flange_from_hand(),
+        joints,
+    };
+    let plant = WristPlant::new(shared, mounted, mount).await.context("the emulated arm's body")?;
+    let wired = devices::arm::connect(config, Some((Box::new(plant), joints))).await?;
+    let emulator = wired.emulator;
+    // The emulator lives as long as this task.
+    trouble.spawn(async move {
+        let Some(emulator) = emulator else { return };
+        carry_out(faults, |request, begins| befall_ur(&emulator, request, begins)).await;
+        std::future::pending::<()>().await;
+    });
+    Ok(wired.arm)
+}
+
+/// A hand behind its emulated wire, whose body is the fingers of the world's hand.
+async fn emulated_hand(
+    config: &CellConfig,
+    shared: &SharedWorld,
+    mounted: HandId,
+    faults: Vec<FaultRequest>,
+    trouble: &mut JoinSet<()>,
+) -> anyhow::Result<Arc<dyn Hand>> {
+    use devices::hand::HandSettings as Wire;
+    let context = "the emulated hand's body";
+    let body = match devices::hand::settings(config)? {
+        Wire::Leap(settings) => {
+            let ids = settings.joints.iter().map(|joint| joint.id).collect();
+            // Full effort of the description is what the adapter calls full force.
+            let plant =
+                MotorPlant::new(shared, mounted, ids, settings.current_ma()).await.context(context)?;
+            Body::Motors(Box::new(plant))
+        }
+        Wire::Robotiq(_) if config.hand.kind == "robotiq-3f" => {
+            let plant = GripperPlant::three_finger(shared, mounted).await.context(context)?;
+            Body::Gripper(Box::new(plant))
+        }
+        Wire::Robotiq(_) => {
+            Body::Gripper(Box::new(GripperPlant::two_finger(shared, mounted).await.context(context)?))
+        }
+    };
+    let wired = devices::hand::connect(config, Some(body))?;
+    let emulator = wired.emulator;
+    // The emulator lives as long as this task.
+    trouble.spawn(async move {
+        let Some(emulator) = emulator else { return };
+        let befall = |request: &FaultRequest, begins: bool| match &*emulator {
+            HandEmulator::Gripper { gripper, line } => {
+                befall_gripper(gripper, std::slice::from_ref(line.faults()), request, begins);
+            }
+            HandEmulator::Bus(bus) => befall_bus(bus, request, begins),
+        };
+        carry_out(faults, befall).await;
+        std::future::pending::<()>().await;
+    });
+    Ok(wired.hand.hand())
 }
 
 /// A free table as the settings that it stands for; what is wrong names the table.
@@ -302,13 +447,22 @@ mod tests {
     #[tokio::test]
     async fn what_is_wrong_is_named() {
         for (text, expected) in [
-            ("[arm]\nadapter = \"ur\"", "arm.adapter: found \"ur\", expected \"mock\""),
+            ("[arm]\nkind = \"urr\"", "arm.kind: found \"urr\", expected one of mock, ur"),
+            ("[arm]\nkind = \"ur\"\naddress = \"emulator\"", "motion is not armed for: arm"),
+            (
+                "[arm]\nkind = \"ur\"\naddress = \"10.0.0.1\"\narmed = true",
+                "arm.address: found \"10.0.0.1\", expected \"emulator\": camera is a mock device",
+            ),
+            (
+                "[simulation.wire_faults]\narm = [\"cut@3\"]",
+                "simulation.wire_faults.arm: found [\"cut@3\"], expected none: the arm is not emulated",
+            ),
             ("[hand]\nid = \"laep\"", "leap"),
             ("[simulation]\nobject = 3", "simulation: unknown field `object`"),
             ("[simulation]\nobjects = 300", "simulation.objects: found 300, expected at most 100"),
             ("[simulation]\nspeed = -1.0", "speed: found -1"),
             ("[simulation.faults.camera]\ndrop = 1.0", "unknown field `drop`"),
-            ("[arm.settings]\nreach = 1.0", "arm.settings: unknown field `reach`"),
+            ("[arm.settings.mock]\nreach = 1.0", "arm.settings.mock: unknown field `reach`"),
             ("[tray]\nyaw_rad = 0.5", "tray.yaw_rad"),
             (
                 "[drop]\nposition_m = [0.22, 0, 0.25]",
@@ -384,7 +538,7 @@ mod tests {
     async fn a_run_counts_every_object_that_the_witness_sees() {
         let text = "[hand]\nid = \"robotiq-2f85\"\n[run]\ntrials = 3\n[simulation]\nobjects = 2\n";
         let config = CellConfig::parse(text).unwrap();
-        let Devices { camera, arm, hand, witness } = devices(&config).await.unwrap();
+        let Devices { camera, arm, hand, witness, trouble: _trouble } = devices(&config).await.unwrap();
         let report = super::super::with_planner(&config, async |planner| {
             let cell = Cell { camera, arm, hand, planner: Arc::new(planner), witness: Some(witness) };
             Ok(clear_tray(&cell, &config, &mut Silent).await?)

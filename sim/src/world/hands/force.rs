@@ -30,6 +30,11 @@ impl WristForce {
 
     /// Takes in the world's last step; to be called after each. The force now, newtons.
     pub fn feel(&mut self, world: &World, hand: HandId) -> f64 {
+        self.feel_vector(world, hand).norm()
+    }
+
+    /// The same as a vector: what presses on the hand, world frame.
+    pub fn feel_vector(&mut self, world: &World, hand: HandId) -> Vector3<f64> {
         let (mut fixed, mut movable) = (Vector3::zeros(), Vector3::zeros());
         let mut hanging: Vec<(ObjectId, bool)> = Vec::new();
         for contact in world.hand_contacts(hand) {
@@ -59,7 +64,7 @@ impl WristForce {
         let blend = dt / self.filter_s.max(dt);
         self.fixed += (fixed - self.fixed) * blend;
         self.movable += (movable - self.movable) * blend;
-        (self.fixed + self.movable).norm()
+        self.fixed + self.movable
     }
 
     /// True when table and tray have the greater part in the force.

@@ -208,11 +208,17 @@ impl World {
         }
     }
 
-    /// Leads the wrist along a path of one's own: where it should be after the next step.
-    pub(crate) fn guide(&mut self, id: HandId, world_from_hand: &Isometry3<f64>) {
-        if let Some(placed) = self.hands.iter_mut().find(|h| h.id == id) {
-            placed.wrist.guide(world_from_hand);
-        }
+    /// Leads the wrist along a path of one's own: where it should be after the next step, and the force with which it
+    /// goes there at most, newtons (never more than [`HandSettings::arm_force_n`]). `false` when the hand is not there or a
+    /// number is not finite; an infinite force is fine.
+    pub fn guide(&mut self, id: HandId, world_from_hand: &Isometry3<f64>, force_n: f64) -> bool {
+        let numbers = world_from_hand.translation.vector.iter().chain(world_from_hand.rotation.coords.iter());
+        let finite = numbers.copied().all(f64::is_finite) && !force_n.is_nan();
+        let Some(placed) = self.hands.iter_mut().find(|h| h.id == id).filter(|_| finite) else {
+            return false;
+        };
+        placed.wrist.guide(world_from_hand, force_n);
+        true
     }
 
     /// Velocity of the point of a hand's root link that is at `point` (world frame), metres per second; `None` when

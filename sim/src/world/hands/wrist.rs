@@ -36,6 +36,8 @@ pub(super) struct Wrist {
     reference: Isometry3<f64>,
     /// Set by [`Wrist::guide`]: the reference is given from outside for the next step.
     guided: Option<Isometry3<f64>>,
+    /// Force that a guided wrist uses at most, newtons; infinite: the arm's.
+    guided_force_n: f64,
 }
 
 impl Wrist {
@@ -50,6 +52,7 @@ impl Wrist {
             rate: 0.0,
             reference: *at,
             guided: None,
+            guided_force_n: f64::INFINITY,
         }
     }
 
@@ -68,12 +71,12 @@ impl Wrist {
         self.speed = speed;
         self.done = 0.0;
         self.rate = 0.0;
-        self.guided = None;
+        (self.guided, self.guided_force_n) = (None, f64::INFINITY);
     }
 
-    /// Gives the reference of the next step.
-    pub(super) fn guide(&mut self, to: &Isometry3<f64>) {
-        self.guided = Some(*to);
+    /// Gives the reference of the next step, and the force with which the wrist follows it at most from now on.
+    pub(super) fn guide(&mut self, to: &Isometry3<f64>, force_n: f64) {
+        (self.guided, self.guided_force_n) = (Some(*to), force_n.max(0.0));
     }
 
     /// Whether the way is done and the wrist is there.
@@ -95,7 +98,7 @@ impl Wrist {
         self.advance(at, dt);
         let (linear, angular) = twist(&before, &self.reference, dt);
         let (error_linear, error_angular) = twist(at, &self.reference, CATCH_UP_S);
-        let most = settings.arm_force_n / settings.arm_mass_kg * dt;
+        let most = settings.arm_force_n.min(self.guided_force_n) / settings.arm_mass_kg * dt;
         // The same force at a tenth of a metre turns the root, whose radius of gyration that is.
         let most_angular = most / 0.1;
         let lead = |now: &Vector3<f64>, wanted: Vector3<f64>, most: f64| {
