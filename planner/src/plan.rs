@@ -11,7 +11,7 @@ use crate::objective::{Objective, Obstacles, Weights};
 use crate::optimize::{Batch, StepSizes};
 use crate::options::{PlanOptions, Target};
 use crate::orientation::Allowed;
-use crate::rank::{self, Judge, Ranking};
+use crate::rank::{self, Directions, Judge, Ranking};
 use crate::refine::CenteredCentroid;
 use crate::scene::{Observation, Scene};
 
@@ -74,7 +74,8 @@ pub fn plan(
     };
     let mut batch = Batch::new(&objective, &allowed, &initializer, StepSizes::default());
     let after_init = budget.elapsed();
-    let judge = Judge::new(scene, &objective, &allowed, options);
+    let judge =
+        Judge { scene, objective: &objective, allowed: &allowed, options, directions: Directions::new() };
 
     let (mut best_score, mut next_look) = (0.0, LOOK_EVERY);
     while !batch.is_finished() {

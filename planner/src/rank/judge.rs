@@ -6,8 +6,7 @@ use nalgebra::{Point3, Translation3, Unit, Vector3};
 
 use super::collision::{self, SCENE_TOLERANCE_VOXELS, SELF_TOLERANCE_M, TABLE_TOLERANCE_M};
 use super::force_closure::{self, Directions, Push};
-use super::score::Hold;
-use super::touch::{self, ALIGNED, CONTACT_VOXELS, Touch, VirtualFingers};
+use super::touch::{self, ALIGNED, CONTACT_VOXELS, Touch};
 use super::{closing, opposition, score};
 use crate::configuration::Configuration;
 use crate::grasp::{Grasp, ObjectiveTerms, Postures, RejectReason};
@@ -48,29 +47,9 @@ pub(crate) struct Judge<'a> {
     pub(crate) allowed: &'a Allowed,
     pub(crate) options: &'a PlanOptions,
     pub(crate) directions: Directions,
-    /// Middle of what was seen of each group of object voxels, completed down to the table, volume frame.
-    middles: Vec<Vector3<f64>>,
 }
 
-impl<'a> Judge<'a> {
-    pub(crate) fn new(
-        scene: &'a Scene,
-        objective: &'a Objective<'a>,
-        allowed: &'a Allowed,
-        options: &'a PlanOptions,
-    ) -> Self {
-        let mut groups: Vec<(Vector3<f64>, f64)> = Vec::new();
-        for (i, &group) in scene.objects.iter().enumerate().filter(|(_, group)| **group > 0) {
-            let group = usize::from(group);
-            groups.resize(groups.len().max(group), (Vector3::zeros(), 0.0));
-            let grid = &scene.workspace.grid;
-            groups[group - 1].0 += grid.center(grid.voxel(i)).coords;
-            groups[group - 1].1 += 1.0;
-        }
-        let middles = groups.into_iter().map(|(sum, count)| sum / count.max(1.0)).collect();
-        Self { scene, objective, allowed, options, directions: Directions::new(), middles }
-    }
-
+impl Judge<'_> {
     /// Closes the fingers, checks everything, and makes a grasp of the candidate.
     pub(crate) fn judge(&self, candidate: &Candidate, scratch: &mut Scratch) -> Result<Grasp, Rejection> {
         use RejectReason as R;
@@ -141,8 +120,8 @@ impl<'a> Judge<'a> {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
         }
         let certainty = touches.iter().map(|t| t.certainty).sum::<f64>() / touches.len() as f64;
-        let hold = self.hold(&touches, epsilon);
-        let parts = score::parts(self.contact_objective(&terms), &hold, room, certainty);
+        let margin = epsilon * touch::squareness(&touches);
+        let parts = score::parts(self.contact_objective(&terms), margin, room, certainty);
         let total = score::total(&parts);
         if total < self.options.min_score {
             return Err(Rejection::new(R::LowScore, 0.0));
@@ -204,20 +183,6 @@ impl<'a> Judge<'a> {
         let all = &self.scene.features.centroids;
         let nearest = all.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
         nearest.map_or(Point3::from(*center), |c| c.position)
-    }
-
-    /// What speaks for contacts of one object to hold it.
-    fn hold(&self, touches: &[Touch], epsilon: f64) -> Hold {
-        let fingers = VirtualFingers::of(touches);
-        let group = touches.first().map_or(0, |t| usize::from(t.object));
-        let middle = group.checked_sub(1).and_then(|group| self.middles.get(group));
-        let apart =
-            |(fingers, middle): (VirtualFingers, &Vector3<f64>)| (fingers.middle() - middle).xy().norm();
-        Hold {
-            margin: epsilon * touch::squareness(touches),
-            straightness: fingers.map_or(0.0, |f| f.straightness()),
-            off_middle_m: fingers.zip(middle).map_or(f64::INFINITY, apart),
-        }
     }
 
     /// The label that most touched points have behind them, where the frames had labels.

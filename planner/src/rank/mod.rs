@@ -11,6 +11,7 @@ mod score;
 mod suppress;
 mod touch;
 
+pub(crate) use force_closure::Directions;
 pub(crate) use judge::Judge;
 pub(crate) use reason::all_rejected;
 

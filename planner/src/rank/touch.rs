@@ -57,74 +57,18 @@ fn mean_of(touches: &[Touch], keep: impl Fn(&Touch) -> bool) -> Vector3<f64> {
     kept.iter().sum::<Vector3<f64>>() / kept.len().max(1) as f64
 }
 
-/// Where a pad touches, and the mean inward direction there.
-type Side = (Vector3<f64>, Unit<Vector3<f64>>);
-
-/// One side for each pad that touches.
-fn sides(touches: &[Touch]) -> Vec<Side> {
-    let pads: BTreeSet<usize> = touches.iter().map(|t| t.pad).collect();
-    let side = |pad: usize| -> Option<Side> {
-        let own = touches.iter().filter(|t| t.pad == pad).map(|t| t.inward.into_inner());
-        Some((mean_of(touches, |t| t.pad == pad), Unit::try_new(own.sum(), 1e-6)?))
-    };
-    pads.into_iter().filter_map(side).collect()
-}
-
-/// The two sides whose surfaces face away from each other the most, and the cosine between one's inward direction and
-/// the reverse of the other's.
-fn most_opposed(sides: &[Side]) -> Option<(usize, usize, f64)> {
-    let pairs = (0..sides.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
-    let cosines = pairs.map(|(i, j)| (i, j, -sides[i].1.dot(&sides[j].1)));
-    cosines.max_by(|a, b| a.2.total_cmp(&b.2).then((b.0, b.1).cmp(&(a.0, a.1))))
-}
-
 /// How squarely two of the touched surfaces face away from each other, 0 to 1: the cosine between one pad's inward
 /// direction and the reverse of another's, the best of all pairs. Grasps on surfaces that lean the same way have
 /// force closure on paper, and slip where the friction is less.
 pub(super) fn squareness(touches: &[Touch]) -> f64 {
-    most_opposed(&sides(touches)).map_or(0.0, |(_, _, cosine)| cosine.clamp(0.0, 1.0))
-}
-
-/// Two groups of pads that press towards each other through an object: however many fingers touch, they act as two
-/// virtual fingers (Arbib, Iberall and Lyons).
-#[derive(Debug, Clone, Copy)]
-pub(super) struct VirtualFingers {
-    /// Middles of the two.
-    at: [Vector3<f64>; 2],
-    /// Sums of their inward directions.
-    inward: [Vector3<f64>; 2],
-}
-
-impl VirtualFingers {
-    /// The two pads that face each other the most, each with the others that press more its way; `None` where fewer
-    /// than two pads touch.
-    pub(super) fn of(touches: &[Touch]) -> Option<Self> {
-        let sides = sides(touches);
-        let (i, j, _) = most_opposed(&sides)?;
-        let (into_i, into_j) = (sides[i].1, sides[j].1);
-        let (with_i, with_j): (Vec<Side>, Vec<Side>) =
-            sides.iter().partition(|(_, inward)| inward.dot(&into_i) >= inward.dot(&into_j));
-        let middle = |of: &[Side]| of.iter().map(|s| s.0).sum::<Vector3<f64>>() / of.len().max(1) as f64;
-        let inward = |of: &[Side]| of.iter().map(|s| s.1.into_inner()).sum();
-        Some(Self { at: [middle(&with_i), middle(&with_j)], inward: [inward(&with_i), inward(&with_j)] })
-    }
-
-    /// How straight they press, 0 to 1: the line between the two should run along both of their inward directions, and
-    /// this is the smaller of the two cosines. Where it is small, the object turns, or is pushed out sideways, before
-    /// friction holds it.
-    pub(super) fn straightness(&self) -> f64 {
-        let line = self.at[1] - self.at[0];
-        let along = |line: Vector3<f64>, inward: &Vector3<f64>| {
-            let length = line.norm() * inward.norm();
-            if length > 1e-9 { line.dot(inward) / length } else { 0.0 }
-        };
-        along(line, &self.inward[0]).min(along(-line, &self.inward[1])).clamp(0.0, 1.0)
-    }
-
-    /// The place that they press on, in the middle between them.
-    pub(super) fn middle(&self) -> Vector3<f64> {
-        0.5 * (self.at[0] + self.at[1])
-    }
+    let pads: BTreeSet<usize> = touches.iter().map(|t| t.pad).collect();
+    let inward = |pad: usize| -> Option<Unit<Vector3<f64>>> {
+        let own = touches.iter().filter(|t| t.pad == pad).map(|t| t.inward.into_inner());
+        Unit::try_new(own.sum(), 1e-6)
+    };
+    let ways: Vec<_> = pads.into_iter().filter_map(inward).collect();
+    let pairs = ways.iter().enumerate().flat_map(|(i, a)| ways[..i].iter().map(move |b| -a.dot(b)));
+    pairs.fold(0.0, f64::max).min(1.0)
 }
 
 /// One contact per touching pad, in the world frame.
