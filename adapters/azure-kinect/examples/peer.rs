@@ -17,7 +17,7 @@ use graspd_adapters_azure_kinect::mkv::write::{Header, Recorder};
 use graspd_adapters_azure_kinect::mode::{ColorResolution, DepthMode};
 use graspd_adapters_azure_kinect::recording::Recording;
 use graspd_adapters_azure_kinect::settings::{DeviceSettings, KinectSettings, Source};
-use graspd_adapters_azure_kinect::{Checked, KinectCamera};
+use graspd_adapters_azure_kinect::{Finding, KinectCamera};
 
 type Outcome = Result<(), Box<dyn Error>>;
 
@@ -120,9 +120,11 @@ async fn check(library: &str) -> Outcome {
     let settings = KinectSettings { source: Source::Device(device), ..KinectSettings::default() };
     let camera = KinectCamera::new(settings).await?;
     for finding in camera.check(Duration::from_secs(20)).await {
-        match finding {
-            Checked::Good { subject, found } => println!("good {subject}: {found}"),
-            Checked::Bad { subject, found, advice } => println!("bad {subject}: {found} -> {advice}"),
+        let Finding { subject, ok, found, advice } = finding;
+        if ok {
+            println!("good {subject}: {found}");
+        } else {
+            println!("bad {subject}: {found} -> {advice}");
         }
     }
     Ok(())

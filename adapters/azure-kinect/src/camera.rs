@@ -5,16 +5,17 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use async_trait::async_trait;
+use graspd_adapters_core::check::{Finding, SettingsError};
 use graspd_adapters_core::feed::{Feed, FeedCounts};
 use graspd_adapters_core::streaming::{self, Control};
 use graspd_adapters_core::{CameraInfo, DepthCamera, DepthFrame, DeviceError};
 use tokio::sync::oneshot;
 
-use crate::check::{self, Checked};
+use crate::check;
 use crate::live::{DeviceState, Live};
 use crate::playback::{Asked, Playback};
 use crate::recording::{Recording, RecordingError};
-use crate::settings::{KinectSettings, Pace, SettingsError, Source};
+use crate::settings::{KinectSettings, Pace, Source};
 
 /// Calls that wait for a frame of a recording at most.
 const MOST_ASKED: usize = 32;
@@ -127,7 +128,7 @@ impl KinectCamera {
     }
 
     /// What is wrong with the camera and what to do about it. A device, or a recording in real time, begins to stream for it.
-    pub async fn check(&self, timeout: Duration) -> Vec<Checked> {
+    pub async fn check(&self, timeout: Duration) -> Vec<Finding> {
         let until = tokio::time::Instant::now() + timeout;
         let settings = self.settings.clone();
         let mut found =
@@ -135,7 +136,7 @@ impl KinectCamera {
                 .await
             {
                 Ok(Ok(found)) => found,
-                _ => vec![Checked::bad(
+                _ => vec![Finding::bad(
                     "check",
                     format!("not done within {timeout:?}"),
                     "unplug the device, end other programs that use it, and check again",

@@ -2,89 +2,54 @@
 
 use std::time::Duration;
 
+use graspd_adapters_core::check::Finding;
 use graspd_adapters_core::{DepthFrame, DeviceError};
 
 use crate::recording::Recording;
 use crate::sdk;
 use crate::settings::{DeviceSettings, KinectSettings, RecordingSettings, Source};
 
-/// One thing that was checked.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Checked {
-    /// It is as it should be.
-    Good {
-        /// What was looked at.
-        subject: String,
-        /// What was found.
-        found: String,
-    },
-    /// It is not.
-    Bad {
-        /// What was looked at.
-        subject: String,
-        /// What was found.
-        found: String,
-        /// What to do about it.
-        advice: String,
-    },
-}
-
-impl Checked {
-    pub(crate) fn good(subject: &str, found: impl Into<String>) -> Self {
-        Self::Good { subject: subject.into(), found: found.into() }
-    }
-
-    pub(crate) fn bad(subject: &str, found: impl Into<String>, advice: &str) -> Self {
-        Self::Bad { subject: subject.into(), found: found.into(), advice: advice.into() }
-    }
-
-    /// True when it is as it should be.
-    pub fn is_good(&self) -> bool {
-        matches!(self, Self::Good { .. })
-    }
-}
-
 /// Everything that can be checked without a frame. Blocking.
-pub(crate) fn still(settings: &KinectSettings) -> Vec<Checked> {
+pub(crate) fn still(settings: &KinectSettings) -> Vec<Finding> {
     match &settings.source {
         Source::Device(device) => library(device),
         Source::Recording(recording) => file(recording),
     }
 }
 
-fn library(settings: &DeviceSettings) -> Vec<Checked> {
+fn library(settings: &DeviceSettings) -> Vec<Finding> {
     let (sdk, place) = match sdk::load(settings.library.as_deref()) {
         Ok(loaded) => loaded,
         Err(missing) => {
             let tried: Vec<String> =
                 missing.tried.iter().map(|(place, why)| format!("{}: {why}", place.display())).collect();
-            return vec![Checked::bad("library libk4a", tried.join("; "), &missing.remedy)];
+            return vec![Finding::bad("library libk4a", tried.join("; "), &missing.remedy)];
         }
     };
-    let mut found = vec![Checked::good("library libk4a", place.display().to_string())];
+    let mut found = vec![Finding::good("library libk4a", place.display().to_string())];
     found.push(match sdk.try_images() {
-        Ok(()) => Checked::good("images of the library", "as this adapter expects them"),
+        Ok(()) => Finding::good("images of the library", "as this adapter expects them"),
         Err(error) => {
-            Checked::bad("images of the library", error.to_string(), "install version 1.4 of the library")
+            Finding::bad("images of the library", error.to_string(), "install version 1.4 of the library")
         }
     });
     found.push(match sdk.installed() {
-        0 => Checked::bad(
+        0 => Finding::bad(
             "devices",
             "none",
             "connect power and a USB 3 cable; install the udev rule (vendor 045e, products 097a to 097e)",
         ),
-        count => Checked::good("devices", count.to_string()),
+        count => Finding::good("devices", count.to_string()),
     });
     found
 }
 
-fn file(settings: &RecordingSettings) -> Vec<Checked> {
+fn file(settings: &RecordingSettings) -> Vec<Finding> {
     let mut recording = match Recording::open(&settings.path) {
         Ok(recording) => recording,
         Err(error) => {
             let advice = "name a recording of k4arecorder that has depth";
-            return vec![Checked::bad("recording", error.to_string(), advice)];
+            return vec![Finding::bad("recording", error.to_string(), advice)];
         }
     };
     let about = format!(
@@ -93,10 +58,10 @@ fn file(settings: &RecordingSettings) -> Vec<Checked> {
         1.0 / recording.period().as_secs_f64(),
         recording.serial().unwrap_or("unknown"),
     );
-    let mut found = vec![Checked::good("recording", about)];
+    let mut found = vec![Finding::good("recording", about)];
     found.push(match recording.lens().to_frame() {
-        Ok(lens) => Checked::good("calibration", format!("f {:.1}, {:.1} px", lens.fx_px, lens.fy_px)),
-        Err(error) => Checked::bad("calibration", error.to_string(), "record with a device that was sold"),
+        Ok(lens) => Finding::good("calibration", format!("f {:.1}, {:.1} px", lens.fx_px, lens.fy_px)),
+        Err(error) => Finding::bad("calibration", error.to_string(), "record with a device that was sold"),
     });
     let mut frames = 0u64;
     let outcome = loop {
@@ -108,9 +73,9 @@ fn file(settings: &RecordingSettings) -> Vec<Checked> {
     };
     let cut = if recording.is_cut() { ", cut off" } else { "" };
     found.push(match outcome {
-        None if frames > 0 => Checked::good("depth frames", format!("{frames}{cut}")),
-        None => Checked::bad("depth frames", format!("none{cut}"), "record again"),
-        Some(error) => Checked::bad(
+        None if frames > 0 => Finding::good("depth frames", format!("{frames}{cut}")),
+        None => Finding::bad("depth frames", format!("none{cut}"), "record again"),
+        Some(error) => Finding::bad(
             "depth frames",
             format!("{frames}, then {error}"),
             "record again, or play up to there",
@@ -120,7 +85,7 @@ fn file(settings: &RecordingSettings) -> Vec<Checked> {
 }
 
 /// A frame, or why none came.
-pub(crate) fn frame(outcome: &Result<DepthFrame, DeviceError>) -> Checked {
+pub(crate) fn frame(outcome: &Result<DepthFrame, DeviceError>) -> Finding {
     const SUBJECT: &str = "frame";
     match outcome {
         Ok(frame) => {
@@ -129,15 +94,15 @@ pub(crate) fn frame(outcome: &Result<DepthFrame, DeviceError>) -> Checked {
             let (width, height) = (frame.width, frame.height);
             let about = format!("{width} x {height}, {share:.0} % with depth, {}", aged(frame.age));
             if valid == 0 {
-                return Checked::bad(
+                return Finding::bad(
                     SUBJECT,
                     about,
                     "take the cover off, point it at something 0.5 to 3 m away",
                 );
             }
-            Checked::good(SUBJECT, about)
+            Finding::good(SUBJECT, about)
         }
-        Err(error) => Checked::bad(SUBJECT, error.to_string(), "see the findings above, then check again"),
+        Err(error) => Finding::bad(SUBJECT, error.to_string(), "see the findings above, then check again"),
     }
 }
 

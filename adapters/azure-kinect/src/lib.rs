@@ -23,7 +23,7 @@ mod playback;
 mod sdk;
 
 pub use camera::{KinectCamera, OpenError};
-pub use check::Checked;
+pub use graspd_adapters_core::check::{Finding, SettingsError};
 pub use live::DeviceState;
 pub use sdk::ENVIRONMENT;
 pub use settings::KinectSettings;

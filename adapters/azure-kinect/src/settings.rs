@@ -13,21 +13,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use graspd_adapters_core::check::{SettingsError, require};
 use serde::{Deserialize, Serialize};
 
 use crate::mode::{DepthMode, FrameRate};
-
-/// Why settings are not accepted.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: found {found}, expected {expected}")]
-pub struct SettingsError {
-    /// The field.
-    pub field: String,
-    /// Found value.
-    pub found: String,
-    /// What is expected.
-    pub expected: String,
-}
 
 /// Settings of the adapter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -191,18 +180,6 @@ impl KinectSettings {
             }
         }
     }
-}
-
-fn require(
-    field: &str,
-    found: impl ToString,
-    ok: bool,
-    expected: impl Into<String>,
-) -> Result<(), SettingsError> {
-    if ok {
-        return Ok(());
-    }
-    Err(SettingsError { field: field.into(), found: found.to_string(), expected: expected.into() })
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use graspd_adapters_azure_kinect::calibration::EXAMPLE;
 use graspd_adapters_azure_kinect::mkv::write::{Header, Recorder};
 use graspd_adapters_azure_kinect::mode::DepthMode;
 use graspd_adapters_azure_kinect::settings::{KinectSettings, Pace};
-use graspd_adapters_azure_kinect::{Checked, KinectCamera};
+use graspd_adapters_azure_kinect::{Finding, KinectCamera};
 use graspd_adapters_core::{DepthCamera, DeviceError};
 
 const AGE: Duration = Duration::from_secs(1);
@@ -124,9 +124,6 @@ async fn check_counts_the_frames() {
     let file = File::new("check", 3);
     let camera = file.camera(Pace::AsAsked, false).await;
     let found = camera.check(LONG).await;
-    assert!(found.iter().all(Checked::is_good), "{found:?}");
-    assert!(
-        found.contains(&Checked::Good { subject: "depth frames".into(), found: "3".into() }),
-        "{found:?}"
-    );
+    assert!(found.iter().all(|f| f.ok), "{found:?}");
+    assert!(found.contains(&Finding::good("depth frames", "3")), "{found:?}");
 }

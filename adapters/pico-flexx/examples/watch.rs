@@ -6,7 +6,7 @@ use std::error::Error;
 use std::time::Duration;
 
 use graspd_adapters_core::DepthCamera;
-use graspd_adapters_pico_flexx::{Checked, FlexxCamera, FlexxSettings};
+use graspd_adapters_pico_flexx::{Finding, FlexxCamera, FlexxSettings};
 
 const LONG: Duration = Duration::from_secs(30);
 
@@ -19,9 +19,11 @@ async fn main() -> Result<(), Box<dyn Error>> {
     let camera = FlexxCamera::new(settings)?;
     println!("{:?}", camera.info());
     for finding in camera.check(LONG).await {
-        match finding {
-            Checked::Good { subject, found } => println!("good {subject}: {found}"),
-            Checked::Bad { subject, found, advice } => println!("bad {subject}: {found} -> {advice}"),
+        let Finding { subject, ok, found, advice } = finding;
+        if ok {
+            println!("good {subject}: {found}");
+        } else {
+            println!("bad {subject}: {found} -> {advice}");
         }
     }
     for n in 0..frames {

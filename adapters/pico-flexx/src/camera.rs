@@ -4,15 +4,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use async_trait::async_trait;
+use graspd_adapters_core::check::{Finding, SettingsError};
 use graspd_adapters_core::feed::{Feed, FeedCounts};
 use graspd_adapters_core::streaming::{self, Control};
 use graspd_adapters_core::{CameraInfo, DepthCamera, DepthFrame, DeviceError};
 
 use crate::CameraState;
-use crate::check::{self, Checked};
+use crate::check;
 use crate::live::Live;
 use crate::rosbridge::Bridge;
-use crate::settings::{FlexxSettings, SettingsError, Source};
+use crate::settings::{FlexxSettings, Source};
 use crate::use_case::UseCase;
 
 /// Range of a use case whose name does not tell: that of the data sheet.
@@ -74,13 +75,13 @@ impl FlexxCamera {
     }
 
     /// What is wrong with the camera and what to do about it. It begins to stream for it.
-    pub async fn check(&self, timeout: Duration) -> Vec<Checked> {
+    pub async fn check(&self, timeout: Duration) -> Vec<Finding> {
         let until = tokio::time::Instant::now() + timeout;
         let settings = self.settings.clone();
         let still = tokio::task::spawn_blocking(move || check::still(&settings));
         let mut found = match tokio::time::timeout(timeout, still).await {
             Ok(Ok(found)) => found,
-            _ => vec![Checked::bad(
+            _ => vec![Finding::bad(
                 "check",
                 format!("not done within {timeout:?}"),
                 "unplug the camera, end other programs that use it, and check again",

@@ -1,65 +1,30 @@
 //! What is wrong with a camera, and what to do about it.
 
+use graspd_adapters_core::check::Finding;
 use graspd_adapters_core::{DepthFrame, DeviceError};
 
 use crate::royale;
 use crate::settings::{FlexxSettings, Source};
 
-/// One thing that was checked.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Checked {
-    /// It is as it should be.
-    Good {
-        /// What was looked at.
-        subject: String,
-        /// What was found.
-        found: String,
-    },
-    /// It is not.
-    Bad {
-        /// What was looked at.
-        subject: String,
-        /// What was found.
-        found: String,
-        /// What to do about it.
-        advice: String,
-    },
-}
-
-impl Checked {
-    pub(crate) fn good(subject: &str, found: impl Into<String>) -> Self {
-        Self::Good { subject: subject.into(), found: found.into() }
-    }
-
-    pub(crate) fn bad(subject: &str, found: impl Into<String>, advice: &str) -> Self {
-        Self::Bad { subject: subject.into(), found: found.into(), advice: advice.into() }
-    }
-
-    /// True when it is as it should be.
-    pub fn is_good(&self) -> bool {
-        matches!(self, Self::Good { .. })
-    }
-}
-
 /// Everything that can be checked without a frame. Blocking.
-pub(crate) fn still(settings: &FlexxSettings) -> Vec<Checked> {
+pub(crate) fn still(settings: &FlexxSettings) -> Vec<Finding> {
     let Source::Royale(source) = &settings.source else { return Vec::new() };
     match royale::load(source.library.as_deref()) {
         Ok((library, place)) => {
             let [major, minor, patch] = library.version();
             let about = format!("{} {major}.{minor}.{patch}", place.display());
-            vec![Checked::good("library libroyaleCAPI", about)]
+            vec![Finding::good("library libroyaleCAPI", about)]
         }
         Err(missing) => {
             let tried: Vec<String> =
                 missing.tried.iter().map(|(place, why)| format!("{}: {why}", place.display())).collect();
-            vec![Checked::bad("library libroyaleCAPI", tried.join("; "), &missing.remedy)]
+            vec![Finding::bad("library libroyaleCAPI", tried.join("; "), &missing.remedy)]
         }
     }
 }
 
 /// A frame, or why none came.
-pub(crate) fn frame(settings: &FlexxSettings, outcome: &Result<DepthFrame, DeviceError>) -> Checked {
+pub(crate) fn frame(settings: &FlexxSettings, outcome: &Result<DepthFrame, DeviceError>) -> Finding {
     const SUBJECT: &str = "frame";
     match outcome {
         Ok(frame) => {
@@ -69,13 +34,13 @@ pub(crate) fn frame(settings: &FlexxSettings, outcome: &Result<DepthFrame, Devic
             let about =
                 format!("{} x {}, {share:.0} % with depth, {age_ms:.0} ms old", frame.width, frame.height);
             if valid == 0 {
-                return Checked::bad(
+                return Finding::bad(
                     SUBJECT,
                     about,
                     "point it at something 0.1 to 4 m away; raise max_noise_m",
                 );
             }
-            Checked::good(SUBJECT, about)
+            Finding::good(SUBJECT, about)
         }
         Err(error) => {
             let advice = match &settings.source {
@@ -86,7 +51,7 @@ pub(crate) fn frame(settings: &FlexxSettings, outcome: &Result<DepthFrame, Devic
                     "start driver and rosbridge_server; compare the topics with `ros2 topic list` (or `rostopic list`)"
                 }
             };
-            Checked::bad(SUBJECT, error.to_string(), advice)
+            Finding::bad(SUBJECT, error.to_string(), advice)
         }
     }
 }

@@ -19,7 +19,7 @@ mod live;
 mod royale;
 
 pub use camera::FlexxCamera;
-pub use check::Checked;
+pub use graspd_adapters_core::check::{Finding, SettingsError};
 pub use royale::ENVIRONMENT;
 pub use settings::FlexxSettings;
 

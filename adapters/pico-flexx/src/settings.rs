@@ -12,21 +12,10 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use graspd_adapters_core::check::{SettingsError, require};
 use serde::{Deserialize, Serialize};
 
 use crate::use_case::{KNOWN, UseCase};
-
-/// Why settings are not accepted.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: found {found}, expected {expected}")]
-pub struct SettingsError {
-    /// The field.
-    pub field: String,
-    /// Found value.
-    pub found: String,
-    /// What is expected.
-    pub expected: String,
-}
 
 /// Settings of the adapter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -296,18 +285,6 @@ impl RosbridgeSettings {
         let ms = self.connect_ms;
         require("source.connect_ms", ms, (10..=60_000).contains(&ms), "10 to 60000")
     }
-}
-
-fn require(
-    field: &str,
-    found: impl ToString,
-    ok: bool,
-    expected: impl Into<String>,
-) -> Result<(), SettingsError> {
-    if ok {
-        return Ok(());
-    }
-    Err(SettingsError { field: field.into(), found: found.to_string(), expected: expected.into() })
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use base64::engine::general_purpose::STANDARD;
 use futures_util::{SinkExt, StreamExt};
 use graspd_adapters_core::{DepthCamera, DeviceError};
 use graspd_adapters_pico_flexx::settings::{DepthTopic, RosbridgeSettings, Source};
-use graspd_adapters_pico_flexx::{Checked, FlexxCamera, FlexxSettings};
+use graspd_adapters_pico_flexx::{Finding, FlexxCamera, FlexxSettings};
 use serde_json::{Value, json};
 use tokio::io::AsyncWriteExt;
 use tokio::net::{TcpListener, TcpStream};
@@ -251,7 +251,7 @@ async fn nobody_there_is_said_at_once_and_found_later() {
     assert!(matches!(&error, DeviceError::Disconnected { .. }), "{error}");
     let found = camera.check(LONG).await;
     assert!(
-        matches!(&found[..], [Checked::Bad { advice, .. }] if advice.contains("rosbridge_server")),
+        matches!(&found[..], [Finding { ok: false, advice, .. }] if advice.contains("rosbridge_server")),
         "{found:?}"
     );
     let listener = TcpListener::bind(port).await.unwrap();
@@ -275,5 +275,5 @@ async fn silence_before_the_callers_time_is_a_timeout() {
     server.set(Mode::Well);
     while camera.capture(AGE, LONG).await.is_err() {}
     let found = camera.check(LONG).await;
-    assert!(found.iter().all(Checked::is_good) && found.len() == 1, "{found:?}");
+    assert!(found.iter().all(|f| f.ok) && found.len() == 1, "{found:?}");
 }

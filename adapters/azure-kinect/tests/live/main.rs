@@ -8,10 +8,10 @@ use std::process::Command;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
+use graspd_adapters_azure_kinect::KinectCamera;
 use graspd_adapters_azure_kinect::calibration::EXAMPLE;
 use graspd_adapters_azure_kinect::mode::{DepthMode, FrameRate};
 use graspd_adapters_azure_kinect::settings::{DeviceSettings, KinectSettings, Source};
-use graspd_adapters_azure_kinect::{Checked, KinectCamera};
 use graspd_adapters_core::{DepthCamera, DeviceError};
 
 const AGE: Duration = Duration::from_secs(1);
@@ -293,7 +293,7 @@ fn a_missing_library_is_said_with_places_and_remedy() {
             assert!(error.contains(expected), "{error}");
         }
         let found = camera.check(LONG).await;
-        assert!(!found[0].is_good() && found.len() == 2, "{found:?}");
+        assert!(!found[0].ok && found.len() == 2, "{found:?}");
         // A library that is not the one that is meant.
         let Some(other) = built() else { return };
         let other = other.with_file_name(format!("other-{}.so", std::process::id()));
@@ -315,18 +315,16 @@ fn check_says_what_is_wrong() {
     multi(async {
         let camera = library.camera(library.settings()).await;
         let found = camera.check(LONG).await;
-        assert!(found.len() == 4 && found.iter().all(Checked::is_good), "{found:?}");
+        assert!(found.len() == 4 && found.iter().all(|f| f.ok), "{found:?}");
         camera.stop(LONG).await.unwrap();
         library.control("devices=0\n");
         let found = camera.check(LONG).await;
         let bad: Vec<&str> = found
             .iter()
-            .filter_map(|f| match f {
-                Checked::Bad { subject, advice, .. } => {
-                    assert!(!advice.is_empty());
-                    Some(subject.as_str())
-                }
-                Checked::Good { .. } => None,
+            .filter(|f| !f.ok)
+            .map(|f| {
+                assert!(!f.advice.is_empty());
+                f.subject.as_str()
             })
             .collect();
         assert_eq!(bad, ["devices", "frame"]);

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use graspd_adapters_core::{DepthCamera, DeviceError};
 use graspd_adapters_pico_flexx::settings::{Exposure, RoyaleSettings, Source};
-use graspd_adapters_pico_flexx::{Checked, FlexxCamera, FlexxSettings};
+use graspd_adapters_pico_flexx::{FlexxCamera, FlexxSettings};
 
 const AGE: Duration = Duration::from_secs(1);
 const LONG: Duration = Duration::from_secs(20);
@@ -282,7 +282,7 @@ fn a_missing_or_newer_library_is_said_with_places_and_remedy() {
             assert!(error.contains(expected), "{error}");
         }
         let found = camera.check(LONG).await;
-        assert!(found.len() == 2 && !found.iter().any(Checked::is_good), "{found:?}");
+        assert!(found.len() == 2 && !found.iter().any(|f| f.ok), "{found:?}");
         let Some(library) = Library::new("newer") else { return };
         library.control("major=5\n");
         let error = library.camera(library.source()).capture(AGE, LONG).await.unwrap_err().to_string();
@@ -300,6 +300,6 @@ fn given_up_calls_lose_nothing_and_check_is_content() {
         }
         camera.capture(AGE, LONG).await.unwrap();
         let found = camera.check(LONG).await;
-        assert!(found.len() == 2 && found.iter().all(Checked::is_good), "{found:?}");
+        assert!(found.len() == 2 && found.iter().all(|f| f.ok), "{found:?}");
     });
 }
