@@ -2,7 +2,7 @@
 
 mod progress;
 mod replay;
-mod world;
+pub(super) mod world;
 
 use std::future::Future;
 use std::io::Write as _;
@@ -149,7 +149,10 @@ async fn interrupted(stop: &AtomicBool) {
 }
 
 /// Does something with the configured planner: a server elsewhere, or one in this process on a free port.
-async fn with_planner<T, F>(config: &CellConfig, work: impl FnOnce(PlannerClient) -> F) -> anyhow::Result<T>
+pub(super) async fn with_planner<T, F>(
+    config: &CellConfig,
+    work: impl FnOnce(PlannerClient) -> F,
+) -> anyhow::Result<T>
 where
     F: Future<Output = anyhow::Result<T>>,
 {
