@@ -16,6 +16,12 @@ const HELD_LOAD: f64 = 0.8;
 /// Fingers press on at this share of their speed: the one that pressed first would push the object away from the others.
 const PRESSING: f64 = 0.4;
 
+/// No more squeezes a second than this, and no more in all: a finger that has met nothing by then will not.
+const SQUEEZES_S: f64 = 5.0;
+const MOST_SQUEEZES: f64 = 12.0;
+/// Squeeze of a joint that was given none, radians.
+const LEAST_SQUEEZE_RAD: f64 = 0.03;
+
 /// Bounds of a motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Bounds {
@@ -42,8 +48,8 @@ pub(crate) struct Reading {
 enum Stage {
     /// All joints to here, together, in no less than this time, no faster than this.
     Travel { to: Vec<f64>, least: Duration, speed_rad_s: f64 },
-    /// Fingers go on to here, each until it is held.
-    Press { to: Vec<f64> },
+    /// Fingers go on by their squeeze, again and again, up to here, each until it is held.
+    Press { squeeze: Vec<f64>, to: Vec<f64> },
     /// Wait until all joints are at rest.
     Rest,
 }
@@ -59,7 +65,7 @@ pub(crate) struct Motion {
     /// Where the stage began, and when.
     from: Vec<f64>,
     began: Duration,
-    /// While pressing: share of its way that each joint has gone.
+    /// While pressing: how many squeezes each joint has gone.
     gone: Vec<f64>,
     rest: RestWatch,
 }
@@ -102,7 +108,7 @@ impl Motion {
         let stages = [
             Stage::Travel { to: meeting, least: meet, speed_rad_s: fastest_rad_s },
             Stage::Travel { to: squeezed.to_vec(), least: Duration::ZERO, speed_rad_s: bounds.speed_rad_s },
-            Stage::Press { to: farthest.to_vec() },
+            Stage::Press { squeeze: squeezes(contact, squeezed, farthest), to: farthest.to_vec() },
             Stage::Rest,
         ];
         Self::new(fingers, from, stages.into(), bounds, now)
@@ -129,9 +135,9 @@ impl Motion {
                     let bounds = Bounds { speed_rad_s: *speed_rad_s, ..self.bounds };
                     self.travel(&to, least, &bounds, now)
                 }
-                Stage::Press { to } => {
-                    let to = to.clone();
-                    self.press(&to, readings, now)
+                Stage::Press { squeeze, to } => {
+                    let (squeeze, to) = (squeeze.clone(), to.clone());
+                    self.press(&squeeze, &to, readings, now)
                 }
                 Stage::Rest => resting && now.saturating_sub(self.began) >= REST,
             };
@@ -157,26 +163,26 @@ impl Motion {
         share >= 1.0
     }
 
-    fn press(&mut self, to: &[f64], readings: &[Reading], now: Duration) -> bool {
+    fn press(&mut self, squeeze: &[f64], to: &[f64], readings: &[Reading], now: Duration) -> bool {
         // A finger that merely met something goes on until one of its motors gives what it may: fingers of several motors
         // hold by what they press with, and lag a little behind their goals in any case.
         let held = pressed(&self.goals, readings, &self.bounds);
         let dt = now.saturating_sub(self.began).as_secs_f64();
+        let longest = squeeze.iter().map(|s| s.abs()).fold(0.0, f64::max);
+        // A ramp up to the speed keeps to the acceleration; where a finger stops, an object stops it.
+        let speed = (PRESSING * self.bounds.speed_rad_s).min(self.bounds.acceleration_rad_s2 * dt);
+        let step = self.dt(now) * (speed / longest.max(1e-9)).min(SQUEEZES_S);
         let mut done = true;
         for joint in 0..self.goals.len() {
             let finger = self.fingers[joint];
-            let of_finger = |j: &usize| self.fingers[*j] == finger;
-            if (0..held.len()).filter(of_finger).any(|j| held[j]) {
+            if (0..held.len()).any(|j| self.fingers[j] == finger && held[j]) {
                 continue;
             }
-            let way = |j: usize| (to[j] - self.from[j]).abs();
-            let longest = (0..to.len()).filter(of_finger).map(way).fold(0.0, f64::max);
-            // A ramp up to the speed keeps to the acceleration; where a finger stops, an object stops it.
-            let speed = (PRESSING * self.bounds.speed_rad_s).min(self.bounds.acceleration_rad_s2 * dt);
-            let step = if longest > 0.0 { speed * self.dt(now) / longest } else { 1.0 };
-            self.gone[joint] = (self.gone[joint] + step).min(1.0);
-            self.goals[joint] = self.from[joint] + self.gone[joint] * (to[joint] - self.from[joint]);
-            done &= self.gone[joint] >= 1.0;
+            self.gone[joint] = (self.gone[joint] + step).min(MOST_SQUEEZES);
+            let next = self.from[joint] + self.gone[joint] * squeeze[joint];
+            let (least, most) = (self.from[joint].min(to[joint]), self.from[joint].max(to[joint]));
+            self.goals[joint] = next.clamp(least, most);
+            done &= self.gone[joint] >= MOST_SQUEEZES || self.goals[joint] == to[joint];
         }
         done
     }
@@ -191,6 +197,22 @@ impl Motion {
 /// time squared.
 fn travel_s(way: f64, bounds: &Bounds) -> f64 {
     (1.5 * way / bounds.speed_rad_s).max((6.0 * way / bounds.acceleration_rad_s2).sqrt())
+}
+
+/// How far each joint goes on at a time: as from contact to the squeeze, in the direction of closing. One that was given no
+/// squeeze goes on a little, too; one that is at its end does not.
+fn squeezes(contact: &[f64], squeezed: &[f64], farthest: &[f64]) -> Vec<f64> {
+    let joint = |((contact, squeezed), farthest): ((&f64, &f64), &f64)| {
+        let (asked, left) = (squeezed - contact, farthest - squeezed);
+        if asked * left > 0.0 {
+            asked
+        } else if left == 0.0 {
+            0.0
+        } else {
+            LEAST_SQUEEZE_RAD.copysign(left)
+        }
+    };
+    contact.iter().zip(squeezed).zip(farthest).map(joint).collect()
 }
 
 /// Joints that give most of the current that they may without getting to their goal.

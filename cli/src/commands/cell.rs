@@ -112,11 +112,20 @@ impl RunArgs {
 
 fn run_cell(args: &RunArgs) -> anyhow::Result<()> {
     let config = args.config()?;
+    // Devices have threads of their own: heartbeats and watchdogs do not wait while a frame is packed or a plan is made.
+    let for_devices = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .thread_name("devices")
+        .enable_all()
+        .build()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let report = runtime.block_on(async {
+        let making = {
+            let config = config.clone();
+            for_devices.spawn(async move { world::devices(&config).await })
+        };
         // The emulated devices live until the run has ended.
-        let world::Devices { camera, arm, hand, witness, trouble: _trouble } =
-            world::devices(&config).await?;
+        let world::Devices { camera, arm, hand, witness, trouble: _trouble } = making.await??;
         with_planner(&config, async |planner| {
             let stop = Arc::new(AtomicBool::new(false));
             let mut progress = Progress::new(&config, Arc::clone(&stop));
