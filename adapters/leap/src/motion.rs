@@ -13,6 +13,8 @@ const REST: Duration = Duration::from_millis(200);
 /// A joint that uses this share of its current and lacks at least [`REST_RAD`] of its goal is held, too.
 const HELD_LOAD: f64 = 0.8;
 
+/// A motor that gives this share of its current gives what it may.
+const FULL_LOAD: f64 = 0.9;
 /// Fingers press on at this share of their speed: the one that pressed first would push the object away from the others.
 const PRESSING: f64 = 0.4;
 
@@ -175,7 +177,8 @@ impl Motion {
         let mut done = true;
         for joint in 0..self.goals.len() {
             let finger = self.fingers[joint];
-            if (0..held.len()).any(|j| self.fingers[j] == finger && held[j]) {
+            // Joints that do not close, such as those that spread fingers, do not say that their finger holds something.
+            if (0..held.len()).any(|j| self.fingers[j] == finger && held[j] && squeeze[j] != 0.0) {
                 continue;
             }
             self.gone[joint] = (self.gone[joint] + step).min(MOST_SQUEEZES);
@@ -220,7 +223,7 @@ fn pressed(goals: &[f64], readings: &[Reading], bounds: &Bounds) -> Vec<bool> {
     let joint = |(goal, r): (&f64, &Reading)| {
         let lacks = (goal - r.position_rad).abs();
         let still = r.velocity_rad_s.abs() < 0.1;
-        still && r.current_ma.abs() >= HELD_LOAD * bounds.current_ma && lacks > REST_RAD
+        still && r.current_ma.abs() >= FULL_LOAD * bounds.current_ma && lacks > REST_RAD
     };
     goals.iter().zip(readings).map(joint).collect()
 }
