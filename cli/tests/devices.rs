@@ -62,16 +62,17 @@ struct Emulated {
 
 impl Emulated {
     fn start(arguments: &[&str]) -> Self {
-        let mut child = command(&[&["emulate"], arguments].concat()).stdout(Stdio::piped()).spawn().unwrap();
-        let mut lines = Vec::new();
-        for line in BufReader::new(child.stdout.take().unwrap()).lines() {
+        let child = command(&[&["emulate"], arguments].concat()).stdout(Stdio::piped()).spawn().unwrap();
+        // From here on it ends with this.
+        let mut emulated = Self { child, lines: Vec::new() };
+        for line in BufReader::new(emulated.child.stdout.take().unwrap()).lines() {
             let line = line.unwrap();
             if line.starts_with("ready") {
-                return Self { child, lines };
+                return emulated;
             }
-            lines.push(line);
+            emulated.lines.push(line);
         }
-        panic!("{arguments:?} is never ready: {lines:?}");
+        panic!("{arguments:?} is never ready: {:?}", emulated.lines);
     }
 
     /// The word after a name at the beginning of a line.

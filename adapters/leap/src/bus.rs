@@ -114,6 +114,8 @@ pub struct Bus {
     decoder: Decoder,
     reply_timeout: Duration,
     attempts: u32,
+    /// True when answers of an exchange that was given up, or not understood, may still come.
+    unsettled: bool,
 }
 
 impl Bus {
@@ -132,7 +134,7 @@ impl Bus {
         // Opening may wait for a device's driver.
         let opened = tokio::task::spawn_blocking(move || SerialStream::open(&builder)).await;
         let port = opened.map_err(|e| wrong(e.to_string()))?.map_err(|e| wrong(e.to_string()))?;
-        Ok(Self { port, decoder: Decoder::new(), reply_timeout, attempts: attempts.max(1) })
+        Ok(Self { port, decoder: Decoder::new(), reply_timeout, attempts: attempts.max(1), unsettled: false })
     }
 
     /// Model number and firmware of a motor.
@@ -182,12 +184,21 @@ impl Bus {
     /// Any [`BusError`].
     pub async fn read(&mut self, id: u8, register: Register) -> Result<Answer, BusError> {
         let instruction = Instruction::Read { addr: register.addr, len: register.len };
-        let answer = self.one(id, &instruction, register.name, self.attempts).await?;
-        let (found, expected) = (answer.data.len(), usize::from(register.len));
-        if found != expected {
-            return Err(BusError::Length { id, register: register.name, found, expected });
+        let expected = usize::from(register.len);
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            let answer = self.one(id, &instruction, register.name, self.attempts).await?;
+            let found = answer.data.len();
+            if found == expected {
+                return Ok(answer);
+            }
+            // Most likely the answer to an earlier question.
+            self.unsettled = true;
+            if tries >= self.attempts {
+                return Err(BusError::Length { id, register: register.name, found, expected });
+            }
         }
-        Ok(answer)
     }
 
     /// Writes a register of many motors at once. Nobody confirms it.
@@ -229,10 +240,19 @@ impl Bus {
         for _ in 0..self.attempts {
             let tried =
                 if fast { self.ask_together(&bytes, &ids, len).await } else { self.ask(&bytes, &ids).await };
-            match tried {
-                Ok(answers) => return answers.into_iter().map(|s| checked(s, register.name, len)).collect(),
-                Err(error) if error.is_lost() => return Err(error),
-                Err(error) => last = error,
+            let checked = tried.and_then(|answers| {
+                answers.into_iter().map(|s| checked(s, register.name, len)).collect::<Result<Vec<_>, _>>()
+            });
+            match checked {
+                Ok(answers) => return Ok(answers),
+                Err(error) if error.is_lost() || matches!(error, BusError::Refused { .. }) => {
+                    return Err(error);
+                }
+                Err(error) => {
+                    // An answer of another length is most likely one to an earlier question.
+                    self.unsettled = true;
+                    last = error;
+                }
             }
         }
         Err(last)
@@ -270,8 +290,29 @@ impl Bus {
         }
     }
 
+    /// Waits until the line is quiet: an answer does not say what it answers, so one that comes late would be taken for
+    /// the answer to what is asked next. Ends within a few times of a reply.
+    async fn settle(&mut self) -> Result<(), BusError> {
+        let end = Instant::now() + 4 * self.reply_timeout;
+        let mut buffer = [0u8; 1024];
+        loop {
+            let quiet = (Instant::now() + self.reply_timeout).min(end);
+            match timeout_at(quiet, self.port.read(&mut buffer)).await {
+                Ok(Ok(0)) => return Err(BusError::Lost { detail: "it hung up".into() }),
+                Ok(Ok(_)) => {}
+                Ok(Err(error)) => return Err(lost(error)),
+                Err(_) => break,
+            }
+        }
+        self.unsettled = false;
+        Ok(())
+    }
+
     /// Sends a packet, first throwing away what came late.
     async fn send(&mut self, bytes: &[u8]) -> Result<(), BusError> {
+        if self.unsettled {
+            self.settle().await?;
+        }
         self.decoder.clear();
         self.port.clear(ClearBuffer::Input).map_err(|e| BusError::Lost { detail: e.to_string() })?;
         let deadline = Instant::now() + self.reply_timeout.max(Duration::from_millis(100));
@@ -352,6 +393,7 @@ impl Bus {
                 Ok(Err(error)) => return Err(lost(error)),
                 Err(_) => {
                     broken.bytes += self.decoder.pending();
+                    self.unsettled = true;
                     return Ok(Some(broken));
                 }
             }

@@ -432,3 +432,21 @@ async fn a_check_says_what_is_wrong_and_what_to_do() {
     let findings = nowhere.check(PATIENT).await.unwrap();
     assert!(findings.len() == 1 && findings[0].found.contains("/dev/no-such-port"), "{findings:?}");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_answer_that_comes_late_is_not_taken_for_another() {
+    use graspd_adapters_dynamixel::table;
+    use graspd_adapters_leap::bus::{Bus, BusError};
+    let emulator = BusEmulator::start(BusConfig::leap(false), KinematicPlant::new()).unwrap();
+    let path = emulator.path().display().to_string();
+    let mut bus = Bus::open(&path, 4_000_000, Duration::from_millis(200), 1).await.unwrap();
+    assert_eq!(bus.read(3, table::PRESENT_TEMPERATURE).await.unwrap().data, [30]);
+    for _ in 0..3 {
+        emulator.faults().slow(Duration::from_millis(300));
+        let error = bus.read(3, table::PRESENT_TEMPERATURE).await.unwrap_err();
+        assert!(matches!(error, BusError::NoReply { .. }), "{error}");
+        emulator.faults().clear();
+        // The temperature comes while this is asked: one byte as well.
+        assert_eq!(bus.read(3, table::TORQUE_ENABLE).await.unwrap().data, [0]);
+    }
+}

@@ -14,6 +14,9 @@ const SLOWEST: f64 = 0.05;
 /// Joints that go farther than this between points of a line jump to another posture, radians.
 const JUMP: f64 = 0.6;
 
+/// The base of an arm whose shoulder changes sides turns by about half a turn: cosine of 135 degrees.
+const SHOULDER_COS: f64 = -0.7;
+
 /// Why a motion is refused: field, found, expected.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Refusal {
@@ -56,7 +59,12 @@ pub(crate) fn joint_motion(
     let solutions = arm.inverse(base_from_flange, from[5]);
     let mut goals: Vec<Joints> =
         solutions.iter().filter_map(|s| arm.limits().nearest_turns(&s.joints, from)).collect();
-    goals.sort_by(|a, b| joint_distance(a, from).total_cmp(&joint_distance(b, from)));
+    // A posture that is turned over, even where it is nearer, is one in which the arm reaches less: it is left for what
+    // the posture it is in does not reach.
+    goals.sort_by(|a, b| {
+        let turned = turns_over(a, from).cmp(&turns_over(b, from));
+        turned.then(joint_distance(a, from).total_cmp(&joint_distance(b, from)))
+    });
     let at = base_from_flange.translation.vector;
     if goals.is_empty() {
         let found = format!("{:.3} m from the base at {:.3?}", at.norm(), at.as_slice());
@@ -71,6 +79,13 @@ pub(crate) fn joint_motion(
     }
     let none = || Refusal { field: "world_from_flange", found: "no way".into(), expected: "a way".into() };
     Err(first.unwrap_or_else(none))
+}
+
+/// True when elbow, wrist or shoulder stand the other way round.
+fn turns_over(to: &Joints, from: &Joints) -> bool {
+    // The base goes half round when the shoulder changes sides.
+    let shoulder = (to[0] - from[0]).cos() < SHOULDER_COS;
+    shoulder || [2, 4].into_iter().any(|i| to[i].sin() * from[i].sin() < 0.0)
 }
 
 /// The pace of a motion straight in joint space.
@@ -247,6 +262,24 @@ mod tests {
             refusal.found.contains("singularity") || refusal.found.contains("out of reach"),
             "{refusal:?}"
         );
+    }
+
+    #[test]
+    fn postures_are_kept_where_they_reach() {
+        let (arm, limits) = (Kinematics::new(Model::Ur5e), everywhere());
+        let goal_at = |yaw: f64| {
+            let mut goal = arm.forward(&HOME);
+            goal.rotation *= UnitQuaternion::from_scaled_axis(Vector3::z() * yaw);
+            goal
+        };
+        // More than half a turn of the tool is nearer with the wrist turned over, but it stays as it is.
+        for yaw in [-3.0, -1.5, 0.0, 1.5, 3.0, 3.3] {
+            let goal = goal_at(yaw);
+            let (joints, _) =
+                joint_motion(&arm, &Isometry3::identity(), &HOME, &goal, allowed(&limits)).unwrap();
+            assert!(!turns_over(&joints, &HOME), "{yaw}: {joints:?}");
+            assert!(joint_distance(&joints, &HOME) < 3.2, "{yaw}: {joints:?}");
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 mod progress;
 mod replay;
-mod world;
+pub(super) mod world;
 
 use std::future::Future;
 use std::io::Write as _;
@@ -112,11 +112,20 @@ impl RunArgs {
 
 fn run_cell(args: &RunArgs) -> anyhow::Result<()> {
     let config = args.config()?;
+    // Devices have threads of their own: heartbeats and watchdogs do not wait while a frame is packed or a plan is made.
+    let for_devices = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .thread_name("devices")
+        .enable_all()
+        .build()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let report = runtime.block_on(async {
+        let making = {
+            let config = config.clone();
+            for_devices.spawn(async move { world::devices(&config).await })
+        };
         // The emulated devices live until the run has ended.
-        let world::Devices { camera, arm, hand, witness, trouble: _trouble } =
-            world::devices(&config).await?;
+        let world::Devices { camera, arm, hand, witness, trouble: _trouble } = making.await??;
         with_planner(&config, async |planner| {
             let stop = Arc::new(AtomicBool::new(false));
             let mut progress = Progress::new(&config, Arc::clone(&stop));
@@ -149,7 +158,10 @@ async fn interrupted(stop: &AtomicBool) {
 }
 
 /// Does something with the configured planner: a server elsewhere, or one in this process on a free port.
-async fn with_planner<T, F>(config: &CellConfig, work: impl FnOnce(PlannerClient) -> F) -> anyhow::Result<T>
+pub(super) async fn with_planner<T, F>(
+    config: &CellConfig,
+    work: impl FnOnce(PlannerClient) -> F,
+) -> anyhow::Result<T>
 where
     F: Future<Output = anyhow::Result<T>>,
 {

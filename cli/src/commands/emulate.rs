@@ -47,7 +47,7 @@ struct UrArgs {
     /// Not powered at first
     #[arg(long)]
     off: bool,
-    /// A fault, as NAME[=VALUE][@AT][+LASTS]; `--fault help` lists them. May be given many times
+    /// A fault, as `NAME[=VALUE][@AT][+LASTS]`; `--fault help` lists them. May be given many times
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<String>,
 }
@@ -82,7 +82,7 @@ struct RobotiqArgs {
     /// Symbolic link to the serial line; left out: one in the folder for temporary files
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
-    /// A fault, as NAME[=VALUE][@AT][+LASTS]; `--fault help` lists them. May be given many times
+    /// A fault, as `NAME[=VALUE][@AT][+LASTS]`; `--fault help` lists them. May be given many times
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<String>,
 }
@@ -102,7 +102,7 @@ struct LeapArgs {
     /// What a USB converter adds to each exchange, milliseconds
     #[arg(long, value_name = "MS", default_value_t = 0)]
     latency_ms: u64,
-    /// A fault, as NAME[=VALUE][@AT][+LASTS]; `--fault help` lists them. May be given many times
+    /// A fault, as `NAME[=VALUE][@AT][+LASTS]`; `--fault help` lists them. May be given many times
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<String>,
 }

@@ -121,11 +121,12 @@ impl Driver {
         self.bus.as_mut().ok_or(closed)
     }
 
-    /// An exchange failed for good: the next call begins with a new connection. Motors that still hear are stopped; the
-    /// others stop by their watchdog.
+    /// An exchange failed for good: the next call begins with a new connection. Motors that still hear and
+    /// move are stopped; the others stop by their watchdog.
     async fn lose(&mut self, error: BusError) -> DeviceError {
         let failed = self.explain(error).await;
-        if self.energized {
+        // Fingers that rest on something keep pressing: told to be where they are, they would let go of it.
+        if self.energized && self.running.is_some() {
             let _held = self.hold().await;
         }
         self.abandon(&failed);

@@ -36,9 +36,10 @@ impl Driver {
             }
             Order::Close(command, patience, reply) => {
                 let begun = self.begin(command.speed, command.force, &reply).await;
+                let meet = (command.meet, self.settings.max_speed_rad_s);
                 self.start("close", patience, reply, begun, |fingers, from, bounds, now| {
                     let way: [&[f64]; 3] = [&command.contact, &command.squeezed, &command.farthest];
-                    Motion::close(fingers, from, way, command.meet, bounds, now)
+                    Motion::close(fingers, from, way, meet, bounds, now)
                 });
             }
             Order::Stop(reply) => {

@@ -136,20 +136,20 @@ struct WireFaults {
 }
 
 /// The devices of a cell, and who knows what became of the objects.
-pub(super) struct Devices {
-    pub(super) camera: Arc<dyn DepthCamera>,
-    pub(super) arm: Arc<dyn Arm>,
-    pub(super) hand: Arc<dyn Hand>,
-    pub(super) witness: Arc<dyn Witness>,
+pub(in crate::commands) struct Devices {
+    pub(in crate::commands) camera: Arc<dyn DepthCamera>,
+    pub(in crate::commands) arm: Arc<dyn Arm>,
+    pub(in crate::commands) hand: Arc<dyn Hand>,
+    pub(in crate::commands) witness: Arc<dyn Witness>,
     /// What befalls emulated devices; ends with this.
-    pub(super) trouble: JoinSet<()>,
+    pub(in crate::commands) trouble: JoinSet<()>,
 }
 
 /// Makes the devices that the configuration names.
 ///
 /// # Errors
 /// For an adapter that is not there, settings that are not in order, an unknown hand.
-pub(super) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
+pub(in crate::commands) async fn devices(config: &CellConfig) -> anyhow::Result<Devices> {
     let sections = sections(config);
     sections.iter().try_for_each(Section::check)?;
     devices::refuse_unarmed(config)?;

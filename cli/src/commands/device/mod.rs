@@ -1,6 +1,7 @@
 //! `graspd device`: the devices of a cell, what is wrong with them, what they do.
 
 mod check;
+mod latency;
 mod list;
 mod monitor;
 
@@ -24,6 +25,7 @@ enum DeviceCommand {
     List(list::ListArgs),
     Check(check::CheckArgs),
     Monitor(monitor::MonitorArgs),
+    Latency(latency::LatencyArgs),
 }
 
 /// Which devices of which cell.
@@ -60,6 +62,7 @@ pub(crate) fn run(args: &DeviceArgs) -> anyhow::Result<()> {
             DeviceCommand::List(args) => list::run(args),
             DeviceCommand::Check(args) => check::run(args).await,
             DeviceCommand::Monitor(args) => monitor::run(args).await,
+            DeviceCommand::Latency(args) => latency::run(args).await,
         }
     };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
