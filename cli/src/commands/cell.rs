@@ -129,7 +129,7 @@ fn run_cell(args: &RunArgs) -> anyhow::Result<()> {
         with_planner(&config, async |planner| {
             let stop = Arc::new(AtomicBool::new(false));
             let mut progress = Progress::new(&config, Arc::clone(&stop));
-            let cell = Cell { camera, arm, hand, planner: Arc::new(planner), witness: Some(witness) };
+            let cell = Cell { camera, arm, hand, planner: Arc::new(planner), witness };
             let report = tokio::select! {
                 report = clear_tray(&cell, &config, &mut progress) => report?,
                 () = interrupted(&stop) => anyhow::bail!("interrupted at once: the arm stands where it was"),

@@ -6,6 +6,7 @@
 #![cfg_attr(not(feature = "sim"), allow(dead_code, reason = "bodies of a simulated world"))]
 
 pub(crate) mod arm;
+pub(crate) mod camera;
 pub(crate) mod hand;
 
 use anyhow::Context as _;
@@ -19,7 +20,17 @@ pub(crate) const EMULATOR: &str = "emulator";
 pub(crate) type Kind = (&'static str, &'static str);
 
 /// Kinds of cameras.
-pub(crate) const CAMERAS: &[Kind] = &[("mock", "depth camera of the simulated world")];
+pub(crate) const CAMERAS: &[Kind] = &[
+    ("mock", "depth camera of the simulated world"),
+    (
+        "azure-kinect",
+        "Azure Kinect; address: its serial number, a recording (.mkv), or none for the first device",
+    ),
+    (
+        "pico-flexx",
+        "CamBoard pico flexx; address: camera id, ws://host:port of rosbridge, or none for the first device",
+    ),
+];
 /// Kinds of arms.
 pub(crate) const ARMS: &[Kind] = &[
     ("mock", "arm of the simulated world"),
@@ -105,7 +116,15 @@ impl Section<'_> {
                 self.name
             );
         }
-        if !self.is_mock() && self.address.trim().is_empty() {
+        // Cameras are found on their bus without an address; there are no emulated ones.
+        let is_camera = self.armed.is_none();
+        anyhow::ensure!(
+            !(is_camera && self.is_emulated()),
+            "{}.address: found {EMULATOR:?}, expected a device or a recording: cameras are not emulated, kind = \"mock\" \
+             sees the simulated world",
+            self.name
+        );
+        if !is_camera && !self.is_mock() && self.address.trim().is_empty() {
             anyhow::bail!(
                 "{}.address: found nothing, expected where the {} is, or {EMULATOR:?} for one that is emulated here",
                 self.name,

@@ -140,7 +140,8 @@ pub(in crate::commands) struct Devices {
     pub(in crate::commands) camera: Arc<dyn DepthCamera>,
     pub(in crate::commands) arm: Arc<dyn Arm>,
     pub(in crate::commands) hand: Arc<dyn Hand>,
-    pub(in crate::commands) witness: Arc<dyn Witness>,
+    /// Who knows what became of the objects; nobody in the real world.
+    pub(in crate::commands) witness: Option<Arc<dyn Witness>>,
     /// What befalls emulated devices; ends with this.
     pub(in crate::commands) trouble: JoinSet<()>,
 }
@@ -153,8 +154,11 @@ pub(in crate::commands) async fn devices(config: &CellConfig) -> anyhow::Result<
     let sections = sections(config);
     sections.iter().try_for_each(Section::check)?;
     devices::refuse_unarmed(config)?;
+    if sections.iter().all(|s| !s.is_mock()) {
+        return wired(config).await;
+    }
     for section in &sections {
-        // The camera sees a simulated world: what is not in it neither moves nor sees anything there.
+        // The mock device is in a simulated world: what is not in it neither moves nor sees anything there.
         anyhow::ensure!(
             section.is_mock() || section.is_emulated(),
             "{}.address: found {:?}, expected {EMULATOR:?}: {} is a mock device, of a simulated world in which nothing \
@@ -176,7 +180,7 @@ pub(in crate::commands) async fn devices(config: &CellConfig) -> anyhow::Result<
     let settings = tray(config)?;
     let world = tokio::task::spawn_blocking({
         let simulation = simulation.clone();
-        let sizes = simulation.sizes(&hand)?;
+        let sizes = simulation.sizes(hand)?;
         move || fill(&simulation, sizes, &settings)
     })
     .await??;
@@ -204,11 +208,27 @@ pub(in crate::commands) async fn devices(config: &CellConfig) -> anyhow::Result<
     } else {
         emulated_hand(config, &shared, mounted, faults.hand, &mut trouble).await?
     };
-    let witness = Arc::new(SimulatedTruth::new(&shared).await?);
-    Ok(Devices { camera, arm, hand, witness, trouble })
+    let witness: Arc<dyn Witness> = Arc::new(SimulatedTruth::new(&shared).await?);
+    Ok(Devices { camera, arm, hand, witness: Some(witness), trouble })
 }
 
-/// A camera of the simulated world: the only kind so far.
+/// Devices none of which is in a simulated world. One that is emulated all the same has the small plant that comes with
+/// its emulator: it moves, and touches nothing.
+async fn wired(config: &CellConfig) -> anyhow::Result<Devices> {
+    let camera = devices::camera::connect(config).await?.camera();
+    let arm = devices::arm::connect(config, None).await?;
+    let hand = devices::hand::connect(config, None)?;
+    let mut trouble = JoinSet::new();
+    // The emulators live as long as this task.
+    let emulators = (arm.emulator, hand.emulator);
+    trouble.spawn(async move {
+        let _emulators = emulators;
+        std::future::pending::<()>().await;
+    });
+    Ok(Devices { camera, arm: arm.arm, hand: hand.hand.hand(), witness: None, trouble })
+}
+
+/// A camera of the simulated world.
 fn camera(
     config: &CellConfig,
     section: &Section<'_>,
@@ -540,7 +560,7 @@ mod tests {
         let config = CellConfig::parse(text).unwrap();
         let Devices { camera, arm, hand, witness, trouble: _trouble } = devices(&config).await.unwrap();
         let report = super::super::with_planner(&config, async |planner| {
-            let cell = Cell { camera, arm, hand, planner: Arc::new(planner), witness: Some(witness) };
+            let cell = Cell { camera, arm, hand, planner: Arc::new(planner), witness };
             Ok(clear_tray(&cell, &config, &mut Silent).await?)
         });
         let t = report.await.unwrap().tally;

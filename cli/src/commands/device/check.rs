@@ -73,6 +73,12 @@ async fn look(config: &CellConfig, section: &Section<'_>, timeout: Duration) -> 
     let late = |error: &dyn std::fmt::Display| {
         vec![Finding::bad("device", error.to_string(), "see that it has power and that its cable is plugged")]
     };
+    if section.name == "camera" {
+        return match devices::camera::connect(config).await {
+            Ok(camera) => camera.check(timeout).await,
+            Err(error) => settings(error),
+        };
+    }
     if section.name == "arm" {
         let wired = match devices::arm::connect(config, None).await {
             Ok(wired) => wired,

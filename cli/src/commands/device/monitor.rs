@@ -12,6 +12,7 @@ use graspd_cell::config::CellConfig;
 use super::Which;
 use super::check::seconds;
 use crate::devices::arm::WiredArm;
+use crate::devices::camera::AnyCamera;
 use crate::devices::hand::{AnyHand, WiredHand};
 use crate::devices::{self, sections};
 
@@ -31,6 +32,7 @@ pub(super) struct MonitorArgs {
 
 /// The devices that are looked at.
 struct Watched {
+    camera: Option<AnyCamera>,
     arm: Option<WiredArm>,
     hand: Option<WiredHand>,
     /// Those of the simulated world, which is not there.
@@ -76,10 +78,11 @@ pub(super) async fn run(args: &MonitorArgs) -> anyhow::Result<()> {
 }
 
 async fn watched(args: &MonitorArgs, config: &CellConfig) -> anyhow::Result<Watched> {
-    let mut watched = Watched { arm: None, hand: None, mock: Vec::new() };
+    let mut watched = Watched { camera: None, arm: None, hand: None, mock: Vec::new() };
     for section in sections(config).iter().filter(|s| args.which.wants(s.name)) {
         match section.name {
             name if section.is_mock() => watched.mock.push(name),
+            "camera" => watched.camera = Some(devices::camera::connect(config).await?),
             "arm" => watched.arm = Some(devices::arm::connect(config, None).await?),
             _ => watched.hand = Some(devices::hand::connect(config, None)?),
         }
@@ -92,6 +95,11 @@ async fn table(watched: &Watched, timeout: Duration) -> String {
     let mut text = String::new();
     for name in &watched.mock {
         let _ = writeln!(text, "{name:<7} of the simulated world, which runs only within `graspd cell run`");
+    }
+    if let Some(camera) = &watched.camera
+        && let Err(error) = camera.describe(&mut text, timeout).await
+    {
+        let _ = writeln!(text, "camera  {error}");
     }
     if let Some(wired) = &watched.arm
         && let Err(error) = arm(&mut text, wired, timeout).await
