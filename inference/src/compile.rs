@@ -92,7 +92,9 @@ fn cubic(node: &Node, name: &str, all: usize, default: usize) -> Result<usize, M
     let Some(attribute) = attribute(node, name) else { return Ok(default) };
     let values = &attribute.integers;
     match values.first() {
-        Some(&v) if values.len() == all && values.iter().all(|w| *w == v) && (0..=16).contains(&v) => Ok(v as usize),
+        Some(&v) if values.len() == all && values.iter().all(|w| *w == v) && (0..=16).contains(&v) => {
+            Ok(v as usize)
+        }
         _ => Err(wrong(node, format!("{name} {values:?}"), format!("{all} equal numbers from 0 to 16"))),
     }
 }
@@ -143,7 +145,9 @@ impl<'a> Compiler<'a> {
         let name = node.inputs.get(input).map(String::as_str).unwrap_or_default();
         match self.values.get(name) {
             Some(value) => Ok((name, *value)),
-            None => Err(wrong(node, format!("input `{name}`"), "the name of a value that was computed before")),
+            None => {
+                Err(wrong(node, format!("input `{name}`"), "the name of a value that was computed before"))
+            }
         }
     }
 
@@ -187,7 +191,8 @@ impl<'a> Compiler<'a> {
     fn parameters(&self, node: &Node, outputs_at: usize) -> Result<(Weight, Vec<f32>, usize), ModelError> {
         let weight = self.weight(node, 1, 5)?;
         let kernel = weight.dims[2];
-        if weight.dims[3..] != [kernel; 2] || cubic(node, "kernel_shape", 3, kernel)? != kernel || kernel > 8 {
+        if weight.dims[3..] != [kernel; 2] || cubic(node, "kernel_shape", 3, kernel)? != kernel || kernel > 8
+        {
             return Err(wrong(node, format!("a kernel of {:?}", &weight.dims[2..]), "a cube of at most 8³"));
         }
         for name in ["group", "dilations", "auto_pad", "output_padding"] {
@@ -236,7 +241,12 @@ impl<'a> Compiler<'a> {
         let mut block = 1;
         let input = match self.value(node, 0)?.1 {
             Value::Volume => {
-                if stride == 2 && kernel % 2 == 0 && pad % 2 == 0 && self.side % 2 == 0 && inputs == 1 {
+                if stride == 2
+                    && kernel % 2 == 0
+                    && pad % 2 == 0
+                    && self.side.is_multiple_of(2)
+                    && inputs == 1
+                {
                     (block, kernel, stride, pad, inputs) = (2, kernel / 2, 1, pad / 2, 8);
                 }
                 self.volume_slot(block)
@@ -245,7 +255,7 @@ impl<'a> Compiler<'a> {
         };
         let shape = self.shapes[input];
         let same = stride == 1 && kernel == 2 * pad + 1;
-        let halved = pad == 0 && stride == kernel && stride > 1 && shape.side % stride == 0;
+        let halved = pad == 0 && stride == kernel && stride > 1 && shape.side.is_multiple_of(stride);
         if !(same || halved) || shape.channels != inputs {
             let found = format!(
                 "{} channels of {}³ under a kernel of {inputs} × {kernel}³, stride {stride}, pad {pad}",
@@ -271,7 +281,14 @@ impl<'a> Compiler<'a> {
         let groups = pack(self.isa, outputs, kernel * kernel, kernel * shape.stride, value, |o| bias[o]);
         let output = self.new_slot(Shape::new(shape.side / stride, outputs));
         let walk = Walk::Window { kernel, stride, pad };
-        self.layers.push(Layer::Conv(Conv { input, output, residual: None, relu: false, walk, parts: vec![groups] }));
+        self.layers.push(Layer::Conv(Conv {
+            input,
+            output,
+            residual: None,
+            relu: false,
+            walk,
+            parts: vec![groups],
+        }));
         Ok(Value::Slot(output))
     }
 
@@ -288,7 +305,14 @@ impl<'a> Compiler<'a> {
             })
             .collect();
         let output = self.new_slot(Shape::new(2 * shape.side, outputs));
-        self.layers.push(Layer::Conv(Conv { input, output, residual: None, relu: false, walk: Walk::Spread, parts }));
+        self.layers.push(Layer::Conv(Conv {
+            input,
+            output,
+            residual: None,
+            relu: false,
+            walk: Walk::Spread,
+            parts,
+        }));
         Ok(Value::Slot(output))
     }
 
@@ -297,7 +321,10 @@ impl<'a> Compiler<'a> {
         let (weight, bias, kernel) = self.parameters(node, 1)?;
         let (_, input, shape) = self.slot(node, 0)?;
         let (stride, pad) = (cubic(node, "strides", 3, 1)?, cubic(node, "pads", 6, 0)?);
-        if [kernel, stride, pad] != [2, 2, 0] || weight.dims[0] != shape.channels || shape.side > 4 * self.side {
+        if [kernel, stride, pad] != [2, 2, 0]
+            || weight.dims[0] != shape.channels
+            || shape.side > 4 * self.side
+        {
             let found = format!(
                 "a transposed convolution of {} × {kernel}³, stride {stride}, pad {pad} on {} channels of {}³",
                 weight.dims[0], shape.channels, shape.side
@@ -358,7 +385,13 @@ impl<'a> Compiler<'a> {
         let (name, slot, _) = self.slot(node, 0)?;
         match self.maker(name, slot) {
             Some((_, conv)) if !conv.relu => conv.relu = true,
-            _ => return Err(wrong(node, "Relu", "Relu right after a convolution or a sum that nobody else reads")),
+            _ => {
+                return Err(wrong(
+                    node,
+                    "Relu",
+                    "Relu right after a convolution or a sum that nobody else reads",
+                ));
+            }
         }
         Ok(Value::Slot(slot))
     }
@@ -370,13 +403,16 @@ impl<'a> Compiler<'a> {
             return Err(wrong(node, found, "equal shapes"));
         }
         // Whichever convolution comes later can add what the other one left; a sum itself is no place to add to.
-        let free = |made: Option<(usize, &mut Conv)>| made.filter(|(_, c)| !c.relu && c.residual.is_none()).map(|m| m.0);
-        let later = [
-            (free(self.maker(a.0, a.1)), a.1, b.1),
-            (free(self.maker(b.0, b.1)), b.1, a.1),
-        ];
+        let free = |made: Option<(usize, &mut Conv)>| {
+            made.filter(|(_, c)| !c.relu && c.residual.is_none()).map(|m| m.0)
+        };
+        let later = [(free(self.maker(a.0, a.1)), a.1, b.1), (free(self.maker(b.0, b.1)), b.1, a.1)];
         let Some((Some(layer), sum, other)) = later.into_iter().max_by_key(|(layer, ..)| *layer) else {
-            return Err(wrong(node, "Add", "a sum of which one part is a convolution that nobody else reads"));
+            return Err(wrong(
+                node,
+                "Add",
+                "a sum of which one part is a convolution that nobody else reads",
+            ));
         };
         let made_before = self.layers[..layer].iter().any(|l| match l {
             Layer::Conv(c) => c.output == other,
@@ -393,7 +429,11 @@ impl<'a> Compiler<'a> {
         let (_, input, shape) = self.slot(node, 0)?;
         let (kernel, stride) = (cubic(node, "kernel_shape", 3, 0)?, cubic(node, "strides", 3, 1)?);
         if [kernel, stride, cubic(node, "pads", 6, 0)?, shape.side % 2] != [2, 2, 0, 0] {
-            return Err(wrong(node, format!("MaxPool of {kernel}³ on {}³", shape.side), "2³ with stride 2, even sizes"));
+            return Err(wrong(
+                node,
+                format!("MaxPool of {kernel}³ on {}³", shape.side),
+                "2³ with stride 2, even sizes",
+            ));
         }
         let output = self.new_slot(Shape { side: shape.side / 2, margin: 0, ..shape });
         self.layers.push(Layer::Pool { input, output });
@@ -402,7 +442,10 @@ impl<'a> Compiler<'a> {
 
     fn concat(&mut self, node: &'a Node) -> Result<Value, ModelError> {
         let (a, b) = (self.slot(node, 0)?, self.slot(node, 1)?);
-        if node.inputs.len() != 2 || a.2.side != b.2.side || attribute(node, "axis").map(|a| a.integer) != Some(1) {
+        if node.inputs.len() != 2
+            || a.2.side != b.2.side
+            || attribute(node, "axis").map(|a| a.integer) != Some(1)
+        {
             return Err(wrong(node, "Concat", "the channels of two tensors of one size"));
         }
         let output = self.new_slot(Shape::new(a.2.side, a.2.channels + b.2.channels));
@@ -434,7 +477,9 @@ impl<'a> Compiler<'a> {
 
     /// Checks that the outputs are what they are called.
     fn finish(self) -> Result<Plan, ModelError> {
-        for (output, part, sigmoid) in [("certainty", 0, true), ("centroid", 1, true), ("orientation", 2, false)] {
+        for (output, part, sigmoid) in
+            [("certainty", 0, true), ("centroid", 1, true), ("orientation", 2, false)]
+        {
             match self.values.get(output) {
                 Some(Value::Part(p, s)) if (*p, *s) == (part, sigmoid) => {}
                 _ => return Err(ModelError::Output { output }),

@@ -237,7 +237,8 @@ mod portable {
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
     use std::arch::x86_64::{
-        __m256, _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_max_ps, _mm256_set1_ps, _mm256_storeu_ps,
+        __m256, _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_max_ps, _mm256_set1_ps,
+        _mm256_storeu_ps,
     };
 
     use super::{CHUNK, LANES, Lane, Row};
@@ -286,7 +287,8 @@ mod avx2 {
 #[cfg(target_arch = "x86_64")]
 mod avx512 {
     use std::arch::x86_64::{
-        __m512, _mm512_add_ps, _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_max_ps, _mm512_set1_ps, _mm512_storeu_ps,
+        __m512, _mm512_add_ps, _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_max_ps, _mm512_set1_ps,
+        _mm512_storeu_ps,
     };
 
     use super::{CHUNK, LANES, Lane, Row};
@@ -331,6 +333,69 @@ mod avx512 {
             (1, _) => tiles!(row, 5, 1),
             (_, 10..) => tiles!(row, 10, 2),
             _ => tiles!(row, 5, 2),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::{CHUNK, Isa, LANES, Row};
+
+    proptest! {
+        /// Every instruction set computes what the definition says, for rows of every length and both group sizes.
+        #[test]
+        fn kernels_compute_the_sum_of_products(
+            voxels in 1usize..45, taps in 1usize..10, chunks in 1usize..5, step in 1usize..3, blocks in 1usize..3,
+            relu in any::<bool>(), with_residual in any::<bool>(), seed in any::<u32>(),
+        ) {
+            let mut state = seed;
+            let mut number = || {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 8) as f32 / (1 << 24) as f32 - 0.5
+            };
+            let inputs = chunks * CHUNK;
+            let (step, stride) = (step * CHUNK, blocks * LANES + 16);
+            let input: Vec<f32> = (0..taps * 64 + voxels * step + inputs).map(|_| number()).collect();
+            let rows: Vec<usize> = (0..taps).map(|t| t * 64).collect();
+            let mut lane = |_| std::array::from_fn(|_| number());
+            let weights: Vec<[f32; LANES]> = (0..taps * inputs * blocks).map(&mut lane).collect();
+            let bias: Vec<[f32; LANES]> = (0..blocks).map(&mut lane).collect();
+            let residual: Vec<f32> = (0..8 + voxels * stride).map(|_| number()).collect();
+            for isa in Isa::all() {
+                let blocks = if isa.two_blocks() { blocks } else { 1 };
+                let weights: Vec<_> = weights.chunks_exact(bias.len()).flat_map(|w| &w[..blocks]).copied().collect();
+                let mut output = vec![f32::NAN; voxels * stride];
+                Row {
+                    input: &input, rows: &rows, inputs, step, weights: &weights, bias: &bias[..blocks],
+                    residual: with_residual.then_some((&residual[..], 8, stride)), relu,
+                    output: &mut output, output_step: stride, voxels,
+                }
+                .compute(isa);
+                for v in 0..voxels {
+                    for channel in 0..stride {
+                        let found = output[v * stride + channel];
+                        let (block, l) = (channel / LANES, channel % LANES);
+                        if block >= blocks {
+                            prop_assert!(found.is_nan(), "{isa:?}: channel {channel} was written");
+                            continue;
+                        }
+                        let mut sum = f64::from(bias[block][l]);
+                        for t in 0..taps {
+                            for k in 0..inputs {
+                                let w = weights[(t * inputs + k) * blocks + block][l];
+                                sum += f64::from(w) * f64::from(input[rows[t] + v * step + k]);
+                            }
+                        }
+                        if with_residual {
+                            sum += f64::from(residual[8 + v * stride + channel]);
+                        }
+                        let expected = if relu { sum.max(0.0) } else { sum };
+                        prop_assert!((f64::from(found) - expected).abs() < 1e-4, "{isa:?}: {found} for {expected}");
+                    }
+                }
+            }
         }
     }
 }

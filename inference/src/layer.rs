@@ -98,7 +98,14 @@ pub(crate) struct Read<'a> {
 
 impl Conv {
     /// Computes the whole output.
-    pub(crate) fn run(&self, isa: Isa, input: Read<'_>, residual: Option<Read<'_>>, shape: Shape, output: &mut [f32]) {
+    pub(crate) fn run(
+        &self,
+        isa: Isa,
+        input: Read<'_>,
+        residual: Option<Read<'_>>,
+        shape: Shape,
+        output: &mut [f32],
+    ) {
         output.par_chunks_exact_mut(shape.plane()).skip(shape.margin).take(shape.side).enumerate().for_each(
             |(x, plane)| match self.walk {
                 Walk::Window { kernel, stride, pad } => {
@@ -245,7 +252,8 @@ pub(crate) fn pool(input: Read<'_>, shape: Shape, output: &mut [f32]) {
                     let to = &mut plane[shape.in_plane(y, z)..][..shape.stride];
                     to.fill(f32::NEG_INFINITY);
                     for place in 0..8 {
-                        let from = input.shape.index(2 * x + place / 4, 2 * y + place / 2 % 2, 2 * z + place % 2);
+                        let from =
+                            input.shape.index(2 * x + place / 4, 2 * y + place / 2 % 2, 2 * z + place % 2);
                         for (greatest, value) in to.iter_mut().zip(&input.values[from..][..shape.stride]) {
                             *greatest = greatest.max(*value);
                         }

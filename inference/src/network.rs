@@ -136,7 +136,11 @@ impl Network {
             Ok(expected) => expected,
             Err(_) => {
                 let found = entry("graspd.crc32")?.to_owned();
-                return Err(ModelError::Metadata { key: "graspd.crc32", found, expected: "eight hexadecimal digits" });
+                return Err(ModelError::Metadata {
+                    key: "graspd.crc32",
+                    found,
+                    expected: "eight hexadecimal digits",
+                });
             }
         };
         let found = checksum(bytes);
@@ -144,7 +148,8 @@ impl Network {
             return Err(ModelError::Damaged { found, expected });
         }
 
-        let wrong = |key, found: &str, expected| ModelError::Metadata { key, found: found.to_owned(), expected };
+        let wrong =
+            |key, found: &str, expected| ModelError::Metadata { key, found: found.to_owned(), expected };
         let format = entry("graspd.format")?;
         if format != FORMAT {
             return Err(wrong("graspd.format", format, FORMAT));
@@ -195,7 +200,8 @@ impl Network {
             return Err(RunError::Size { found: volume.len(), expected: voxels, side });
         }
         let spare = self.spare.lock().ok().and_then(|mut s| s.pop());
-        let mut slots = spare.unwrap_or_else(|| self.plan.shapes.iter().map(|s| vec![0.0; s.len()]).collect());
+        let mut slots =
+            spare.unwrap_or_else(|| self.plan.shapes.iter().map(|s| vec![0.0; s.len()]).collect());
         let done = self.layers(volume, &mut slots, go_on);
         let output = done.map(|()| self.answer(&slots));
         if let Ok(mut spare) = self.spare.lock() {
@@ -204,7 +210,12 @@ impl Network {
         output
     }
 
-    fn layers(&self, volume: &[f32], slots: &mut [Vec<f32>], go_on: &dyn Fn() -> bool) -> Result<(), RunError> {
+    fn layers(
+        &self,
+        volume: &[f32],
+        slots: &mut [Vec<f32>],
+        go_on: &dyn Fn() -> bool,
+    ) -> Result<(), RunError> {
         let shapes = &self.plan.shapes;
         for (slot, block) in &self.plan.volumes {
             layer::load(volume, *block, shapes[*slot], &mut slots[*slot]);

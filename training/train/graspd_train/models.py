@@ -112,15 +112,20 @@ class Double(nn.Sequential):
 class ReferenceUNet(nn.Module):
     """The paper's 3D U-Net as its published code builds it: 16/32/64 channels, bottleneck 128, decoder at 80³."""
 
-    def __init__(self, orientation: str = "quaternion"):
+    def __init__(self, orientation: str = "quaternion", widths: tuple[int, int, int, int] = (16, 32, 64, 128)):
         super().__init__()
-        self.settings: dict = {}
-        self.encode = nn.ModuleList([Double(1, 8, 16), Double(16, 16, 32), Double(32, 32, 64)])
+        self.settings = {"widths": list(widths)}
+
+        def double(inputs: int, outputs: int) -> Double:
+            return Double(inputs, outputs // 2, outputs)
+
+        a, b, c, d = widths
+        self.encode = nn.ModuleList([double(1, a), double(a, b), double(b, c)])
         self.pool = nn.MaxPool3d(2)
-        self.bottom = Double(64, 64, 128)
-        self.up = nn.ModuleList([nn.ConvTranspose3d(w, w, 2, 2) for w in (128, 64, 32)])
-        self.decode = nn.ModuleList([Double(128 + 64, 64, 64), Double(64 + 32, 32, 32), Double(32 + 16, 16, 16)])
-        self.head = nn.Conv3d(16, channels(orientation), 1)
+        self.bottom = double(c, d)
+        self.up = nn.ModuleList([nn.ConvTranspose3d(w, w, 2, 2) for w in (d, c, b)])
+        self.decode = nn.ModuleList([Double(d + c, c, c), Double(c + b, b, b), Double(b + a, a, a)])
+        self.head = nn.Conv3d(a, channels(orientation), 1)
         begin_rare(self.head.bias)
 
     def forward(self, volume: Tensor) -> Tensor:

@@ -132,7 +132,7 @@ class Training:
         else:
             self.train_views = Views(Path(run.data), held_out=False)
             self.validation_views = Views(Path(run.data), held_out=True)
-        settings = {"widths": tuple(run.widths)} if run.widths and run.model == "ours" else {}
+        settings = {"widths": tuple(run.widths)} if run.widths else {}
         self.net = build(run.model, run.orientation, **settings)
         self.settings = self.net.settings
         self.net.to(device, memory_format=torch.channels_last_3d)
@@ -274,7 +274,7 @@ def parse(arguments: list[str] | None) -> tuple[Run, argparse.Namespace]:
     p.add_argument("--volume", choices=["tsdf", "occupancy"], default=default["volume"])
     p.add_argument("--orientation", choices=list(ORIENTATION_NUMBERS), default=default["orientation"])
     p.add_argument("--model", choices=["ours", "reference"], default=default["model"])
-    p.add_argument("--widths", type=int, nargs=4, help="channels of our network at 40³, 20³, 10³, 5³")
+    p.add_argument("--widths", type=int, nargs=4, help="channels of the four levels, finest first")
     p.add_argument("--dense", action="store_true", help="learn from every voxel instead of the paper's samples")
     p.add_argument("--negative-weight", type=float, default=default["negative_weight"], help="with --dense: weight of a voxel without label")
     p.add_argument("--epochs", type=int, default=default["epochs"])

@@ -111,12 +111,13 @@ def test_interrupted_training_comes_to_the_same_weights(balls, tmp_path):
         run(balls, tmp_path / "parts", *common, "--seed", "2")
 
 
-@pytest.mark.parametrize("volume, orientation, epochs", [("tsdf", "quaternion", 6), ("occupancy", "r6d", 12)])
-def test_a_run_learns_and_is_exported(balls, tmp_path, volume, orientation, epochs):
+# Turned and mirrored, the balls' orientations differ in how they roll about the inward direction, which R6D cannot learn.
+@pytest.mark.parametrize("volume, orientation, extra", [("tsdf", "quaternion", []), ("occupancy", "r6d", ["--no-augment"])])
+def test_a_run_learns_and_is_exported(balls, tmp_path, volume, orientation, extra):
     out = tmp_path / "run"
-    kept = run(balls, out, "--epochs", str(epochs), "--volume", volume, "--orientation", orientation, "--rate", "0.01", "--averaging", "0.9")
+    kept = run(balls, out, "--epochs", "8", "--volume", volume, "--orientation", orientation, "--rate", "0.01", "--averaging", "0.9", *extra)
     rows = list(csv.DictReader((out / "curves.csv").open()))
-    assert len(rows) == epochs and (out / "curves.png").stat().st_size > 1000
+    assert len(rows) == 8 and (out / "curves.png").stat().st_size > 1000
     assert float(rows[-1]["loss"]) < 0.6 * float(rows[0]["loss"])
     assert float(rows[-1]["e_angle"]) > 0.3, rows[-1]
 
