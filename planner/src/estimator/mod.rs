@@ -3,9 +3,11 @@
 mod centroids;
 mod chords;
 mod geometric;
+mod learned;
 mod smoothing;
 
 pub use geometric::Geometric;
+pub use learned::Learned;
 
 use crate::budget::{Budget, Stop};
 use crate::contact_field::ContactField;
