@@ -10,5 +10,6 @@ mod closing;
 mod fixtures;
 #[cfg(test)]
 mod hand;
+mod plants;
 #[cfg(test)]
 mod world;
