@@ -21,7 +21,7 @@ const PRESSED: f64 = 1.5;
 /// An arm whose joints went farther than this since a motion was planned has moved, radians.
 const MOVED_RAD: f64 = 0.01;
 /// Time in which an arm settles at its goal.
-const SETTLES: Duration = Duration::from_millis(500);
+const SETTLES: Duration = Duration::from_secs(2);
 /// Added to the time of braking: what messages need on their way.
 const GRACE: Duration = Duration::from_millis(150);
 
