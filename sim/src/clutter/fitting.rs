@@ -7,8 +7,11 @@ use crate::object::Object;
 
 /// Objects lower than this have nothing that fingers could take from above, metres.
 const THINNEST_M: f64 = 0.02;
-/// An object must leave this much of the widest opening, and be this much thicker than the narrowest, metres.
+/// An object must leave this much of the widest opening, metres. Pads that come nearer than this to each other meet.
 const ROOM_M: f64 = 0.01;
+/// Where pads do not meet, an object must be this much thicker than the way between them: at the end of their way
+/// fingertips curl past facing each other, metres.
+const CURL_M: f64 = 0.02;
 /// Objects are drawn this many at a time.
 const DRAWN: usize = 32;
 /// Draws before giving up: an assortment of which nothing fits.
@@ -25,10 +28,10 @@ pub struct Sizes {
 
 impl Sizes {
     /// What a hand can take whose opposed pads are between `least_m` and `most_m` apart: at least 2 cm thick, so
-    /// that fingers reach under its middle on a table, and with 1 cm of room at both ends of the opening.
+    /// that fingers reach under its middle on a table, with 1 cm of room in the widest opening, and not so thin that fingertips curl past it.
     pub fn between_pads(least_m: f64, most_m: f64) -> Self {
         // Pads that meet, or nearly, hold whatever is thick enough to be reached.
-        let thinnest_m = if least_m > ROOM_M { least_m + ROOM_M } else { 0.0 };
+        let thinnest_m = if least_m > ROOM_M { least_m + CURL_M } else { 0.0 };
         Self { thinnest_m: thinnest_m.max(THINNEST_M), widest_m: most_m - ROOM_M }
     }
 
@@ -63,7 +66,7 @@ mod tests {
     #[test]
     fn hands_whose_pads_do_not_meet_get_thicker_things() {
         let (closing, wide) = (Sizes::up_to(0.08), Sizes::between_pads(0.03, 0.2));
-        assert_eq!((closing.thinnest_m, wide.thinnest_m), (0.02, 0.04));
+        assert_eq!((closing.thinnest_m, wide.thinnest_m), (0.02, 0.05));
         let thickness = |sizes: Sizes| {
             let objects = sizes.draw(12, |round| round);
             assert_eq!(objects.len(), 12);
@@ -71,7 +74,7 @@ mod tests {
                 objects.iter().filter_map(|o| o.mesh.bounds()).map(|(low, high)| (high - low).min());
             extents.fold(f64::INFINITY, f64::min)
         };
-        assert!(thickness(closing) >= 0.02 && thickness(wide) >= 0.04);
+        assert!(thickness(closing) >= 0.02 && thickness(wide) >= 0.05);
         assert!(Sizes::up_to(0.02).draw(3, |round| round).is_empty());
     }
 }
