@@ -88,14 +88,19 @@ impl UrArm {
                           unlock_protective_stop is set, on an arm that is armed, to let software do it)";
             return Err(self.fault(FaultKind::Other, detail));
         }
-        let mut why = "the protective stop was not unlocked".to_owned();
+        let mut why: Option<String> = None;
         loop {
             let asked = async {
                 self.dashboard.close_safety_popup().await?;
                 self.dashboard.unlock_protective_stop().await
             };
             // What is told at the end of the time says why, while there is a why.
-            let late = || self.fault(FaultKind::ProtectiveStop, format!("{why}, within {:?}", call.timeout));
+            let late = || match &why {
+                Some(why) => {
+                    self.fault(FaultKind::ProtectiveStop, format!("{why}, within {:?}", call.timeout))
+                }
+                None => self.timed_out(call),
+            };
             match tokio::time::timeout_at(call.until, asked).await {
                 Err(_) => return Err(late()),
                 Ok(Err(DashboardError::TooEarly(too_early))) => {
@@ -117,9 +122,9 @@ impl UrArm {
                         Err(DeviceError::Timeout { .. }) => {
                             let words =
                                 self.shared.words().back().map_or(String::new(), |w| format!(" ({w})"));
-                            why = format!(
+                            why = Some(format!(
                                 "it stops itself again whenever it is unlocked{words}: something presses on it"
-                            );
+                            ));
                         }
                         Err(error) => return Err(error),
                     }
