@@ -34,7 +34,7 @@ fn a_tray_is_cleared_over_the_wire_in_spite_of_faults() {
     // Machines of tests pause for long: no fault but those that are asked for.
     text = text.replace("max_force_n = 235.0 ", "reply_timeout_ms = 500\nmax_force_n = 235.0 ");
     text.push_str(
-        "\n[arm.settings.ur.heartbeat]\ntimeout_s = 0.8\n\n[simulation.wire_faults]\narm = [\"rtde:cut@4\", \
+        "\n[arm.settings.ur.heartbeat]\ntimeout_s = 0.8\n\n[arm.settings.ur.arrival]\nsettle_s = 20.0\n\n[simulation.wire_faults]\narm = [\"rtde:cut@4\", \
          \"protective-stop@9\", \"rtde:garble@20\"]\nhand = [\"mute=2@7\", \"garble=1@12\"]\n",
     );
     let config = folder.0.join("cell.toml");

@@ -190,11 +190,13 @@ pub struct Arrival {
     pub position_m: f64,
     /// Radians.
     pub angle_rad: f64,
+    /// Time in which an arm settles there, after the controller has called the motion done, seconds.
+    pub settle_s: f64,
 }
 
 impl Default for Arrival {
     fn default() -> Self {
-        Self { position_m: 0.002, angle_rad: 0.02 }
+        Self { position_m: 0.002, angle_rad: 0.02, settle_s: 2.0 }
     }
 }
 
@@ -254,6 +256,7 @@ impl UrConfig {
             ("longest_pause_s", self.longest_pause_s, 600.0),
             ("arrival.position_m", self.arrival.position_m, 0.05),
             ("arrival.angle_rad", self.arrival.angle_rad, 0.5),
+            ("arrival.settle_s", self.arrival.settle_s, 60.0),
         ];
         for (field, value, most) in numbers {
             if !(value > 0.0 && value <= most) {

@@ -20,8 +20,6 @@ const TAKEN: Duration = Duration::from_secs(2);
 const PRESSED: f64 = 1.5;
 /// An arm whose joints went farther than this since a motion was planned has moved, radians.
 const MOVED_RAD: f64 = 0.01;
-/// Time in which an arm settles at its goal.
-const SETTLES: Duration = Duration::from_secs(2);
 /// Added to the time of braking: what messages need on their way.
 const GRACE: Duration = Duration::from_millis(150);
 
@@ -215,8 +213,8 @@ impl UrArm {
     /// What the controller calls done is compared with where the arm is.
     async fn arrived(&self, call: Call, goal: Option<&Isometry3<f64>>) -> Result<(), DeviceError> {
         // What the controller calls done may still settle for a moment.
-        let until = call.until.min(Instant::now() + SETTLES);
         let arrival = self.config().arrival;
+        let until = call.until.min(Instant::now() + Duration::from_secs_f64(arrival.settle_s));
         let off = |state: &RobotState| {
             goal.map_or((0.0, 0.0), |goal| {
                 let found = self.flange(state);
