@@ -206,6 +206,7 @@ def model_card(name: str, checkpoint: dict, net: nn.Module, model: onnx.ModelPro
         "seed": run["seed"],
         "commit": checkpoint["commit"],
         "data": checkpoint["data"],
+        "began_from": checkpoint.get("origin"),
         "versions": checkpoint["versions"],
         "crc32": props["graspd.crc32"],
         "validation": checkpoint.get("validation"),

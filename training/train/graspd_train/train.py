@@ -54,6 +54,7 @@ class Run:
     averaging: float = 0.999
     seed: int = 1
     validation_views: int = 64
+    start: str | None = None
 
 
 def learning_rate(run: Run, step: int, steps_per_epoch: int) -> float:
@@ -144,10 +145,25 @@ class Training:
         self.totals: dict[str, float] = {}
         self.rows: list[dict] = []
         self.validation: dict[str, float] | None = None
+        self.origin: dict | None = None
         out.mkdir(parents=True, exist_ok=True)
         self.path = out / "checkpoint.pt"
         if self.path.exists():
             self.resume()
+        elif run.start:
+            self.begin_from(Path(run.start))
+
+    def begin_from(self, path: Path) -> None:
+        """Takes the averaged weights of another run's checkpoint; the optimizer begins anew."""
+        other = torch.load(path, map_location=self.device, weights_only=True)
+        theirs, ours = other["run"], asdict(self.run)
+        wrong = [f"{k}: found {theirs[k]!r}, expected {ours[k]!r}" for k in ("model", "volume", "orientation", "widths") if theirs[k] != _plain(ours[k])]
+        if wrong:
+            raise SystemExit(f"--from {path}: weights of another network ({'; '.join(wrong)})")
+        self.net.load_state_dict(other["averaged"])
+        self.averaged.state = {name: value.clone() for name, value in other["averaged"].items()}
+        known = ("command", "commit", "epoch", "place", "samples_seen", "data", "origin")
+        self.origin = {name: other[name] for name in known if name in other}
 
     def resume(self) -> None:
         """Goes on from the checkpoint, which must be of the same run."""
@@ -161,6 +177,7 @@ class Training:
         self.optimizer.load_state_dict(kept["optimizer"])
         for name in ("epoch", "place", "step", "samples_seen", "seconds", "totals", "rows", "validation"):
             setattr(self, name, kept[name])
+        self.origin = kept.get("origin")
 
     def keep(self) -> None:
         """Writes the checkpoint."""
@@ -171,6 +188,7 @@ class Training:
             "averaged": self.averaged.state,
             "optimizer": self.optimizer.state_dict(),
             **{name: getattr(self, name) for name in ("epoch", "place", "step", "samples_seen", "seconds", "totals", "rows", "validation")},
+            "origin": self.origin,
             "command": self.command,
             "commit": commit(),
             "data": {"train": self.train_views.describe(), "validation": self.validation_views.describe()},
@@ -271,6 +289,7 @@ def parse(arguments: list[str] | None) -> tuple[Run, argparse.Namespace]:
     p.add_argument("--data", required=True, help="folder of shards of `graspd dataset generate`")
     p.add_argument("--validation", help="folder of shards to validate on; without it every twentieth scene of --data is kept for that")
     p.add_argument("--out", type=Path, required=True, help="folder of the run; an interrupted run in it goes on")
+    p.add_argument("--from", dest="start", help="checkpoint of another run whose weights this one begins with, for example to go on with other objects")
     p.add_argument("--volume", choices=["tsdf", "occupancy"], default=default["volume"])
     p.add_argument("--orientation", choices=list(ORIENTATION_NUMBERS), default=default["orientation"])
     p.add_argument("--model", choices=["ours", "reference"], default=default["model"])

@@ -111,6 +111,21 @@ def test_interrupted_training_comes_to_the_same_weights(balls, tmp_path):
         run(balls, tmp_path / "parts", *common, "--seed", "2")
 
 
+def test_a_run_begins_from_the_weights_of_another(balls, tmp_path):
+    short = ["--epochs", "1", "--views-per-epoch", "8"]
+    first = run(balls, tmp_path / "first", *short)
+    checkpoint = str(tmp_path / "first" / "checkpoint.pt")
+    # A rate of nothing: what comes out is what it began with.
+    second = run(balls, tmp_path / "second", *short, "--from", checkpoint, "--rate", "0")
+    assert second["origin"]["command"] == first["command"]
+    weights = [name for name, value in first["averaged"].items() if value.dtype.is_floating_point and "running" not in name]
+    assert weights
+    for name in weights:
+        torch.testing.assert_close(second["weights"][name], first["averaged"][name])
+    with pytest.raises(SystemExit, match="orientation: found 'quaternion', expected 'r6d'"):
+        run(balls, tmp_path / "third", *short, "--from", checkpoint, "--orientation", "r6d")
+
+
 # Turned and mirrored, the balls' orientations differ in how they roll about the inward direction, which R6D cannot learn.
 @pytest.mark.parametrize("volume, orientation, extra", [("tsdf", "quaternion", []), ("occupancy", "r6d", ["--no-augment"])])
 def test_a_run_learns_and_is_exported(balls, tmp_path, volume, orientation, extra):
