@@ -1,6 +1,5 @@
 //! Planning in this process, without a server.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -12,9 +11,8 @@ use graspd_planner::options::{PlanOptions, SceneOptions};
 use graspd_planner::plan;
 use graspd_planner::scene::{self, Scene, SceneError};
 
-use graspd_server::Estimators;
-
 use crate::clock::StdBudget;
+use crate::estimators::EstimatorArgs;
 use crate::input::npz::LoadedField;
 use crate::outcome::{Origin, Outcome};
 
@@ -40,8 +38,8 @@ impl Observed {
     ///
     /// # Errors
     /// For a frame or options that cannot be read.
-    pub(crate) fn scene(&self, options: &SceneOptions) -> anyhow::Result<Scene> {
-        self.read(options, &*estimator(None)?, &StdBudget::new(None)).context("the scene cannot be read")
+    pub(crate) fn scene(&self, options: &SceneOptions, estimator: &EstimatorArgs) -> anyhow::Result<Scene> {
+        self.read(options, &*estimator.chosen()?, &StdBudget::new(None)).context("the scene cannot be read")
     }
 
     fn read(
@@ -59,19 +57,6 @@ impl Observed {
     }
 }
 
-/// The contact estimator of that name; the default one without a name. A server that `graspd serve` starts has
-/// the same ones.
-///
-/// # Errors
-/// For an unknown name, with the known ones.
-pub(crate) fn estimator(name: Option<&str>) -> anyhow::Result<Arc<dyn ContactEstimator>> {
-    let known = Estimators::default();
-    known.get(name).map_err(|_| {
-        let list: Vec<&str> = known.names().collect();
-        anyhow::anyhow!("--estimator: found {:?}, expected {}", name.unwrap_or_default(), list.join(" or "))
-    })
-}
-
 /// How scenes are read and grasps are searched.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Settings<'a> {
@@ -79,8 +64,8 @@ pub(crate) struct Settings<'a> {
     pub(crate) scene: &'a SceneOptions,
     /// How grasps are searched.
     pub(crate) search: &'a PlanOptions,
-    /// Name of the contact estimator, unless it is the default.
-    pub(crate) estimator: Option<&'a str>,
+    /// The contact estimators, and which of them.
+    pub(crate) estimator: &'a EstimatorArgs,
     /// Time from the arrival of the request, the reading of the scene included, to the last answer.
     pub(crate) budget: Option<Duration>,
 }
@@ -97,7 +82,7 @@ pub(crate) fn plan(
     settings: &Settings<'_>,
 ) -> anyhow::Result<(Option<Scene>, Vec<Outcome>)> {
     let budget = StdBudget::new(settings.budget);
-    let estimator = estimator(settings.estimator)?;
+    let estimator = settings.estimator.chosen()?;
     let used = match observed {
         Observed::Frame(_) => estimator.name(),
         // The contacts came with the file.
@@ -144,7 +129,8 @@ mod tests {
     fn planned(observed: &Observed, budget: Option<Duration>) -> Outcome {
         let hand = library::hand("robotiq-2f85").unwrap().clone();
         let search = PlanOptions { batch: 24, scheme: Scheme::BALANCED, ..PlanOptions::default() };
-        let settings = Settings { scene: &SceneOptions::default(), search: &search, estimator: None, budget };
+        let (scene, estimator) = (SceneOptions::default(), EstimatorArgs::default());
+        let settings = Settings { scene: &scene, search: &search, estimator: &estimator, budget };
         plan(observed, &[hand], &settings).unwrap().1.remove(0)
     }
 
@@ -156,15 +142,8 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_estimator_is_refused_with_the_known_ones() {
-        assert_eq!(estimator(Some("geometric")).unwrap().name(), "geometric");
-        let message = estimator(Some("magic")).err().unwrap().to_string();
-        assert_eq!(message, "--estimator: found \"magic\", expected geometric");
-    }
-
-    #[test]
     fn the_demo_frame_has_objects_on_a_table_where_they_were_put() {
-        let scene = demo_frame().scene(&SceneOptions::default()).unwrap();
+        let scene = demo_frame().scene(&SceneOptions::default(), &EstimatorArgs::default()).unwrap();
         // The world's origin is on the table top: a point of the volume at the table's height maps to z = 0.
         let table = scene.workspace.table_m.unwrap();
         let on_table = scene.workspace.world_from_volume * nalgebra::Point3::new(0.2, 0.2, table);

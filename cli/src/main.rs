@@ -5,6 +5,7 @@ mod commands;
 mod demo_scene;
 #[cfg(feature = "devices")]
 mod devices;
+mod estimators;
 mod hand_source;
 mod input;
 mod local;

@@ -11,6 +11,8 @@ use graspd_planner::options::{
 };
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
+use crate::estimators::EstimatorArgs;
+
 /// How the scene is read.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Scene")]
@@ -39,15 +41,14 @@ pub(crate) struct SceneArgs {
     /// Grasp only inside this box: centre, half extents and yaw in degrees; what is outside stays an obstacle
     #[arg(long, value_name = "X,Y,Z,HX,HY,HZ[,YAW]", allow_hyphen_values = true)]
     region: Option<Numbers<6, 7>>,
-    /// Contact estimator by name
-    #[arg(long, value_name = "NAME", conflicts_with = "contact_field")]
-    estimator: Option<String>,
+    #[command(flatten)]
+    estimator: EstimatorArgs,
 }
 
 impl SceneArgs {
-    /// Name of the contact estimator, unless it is the default.
-    pub(crate) fn estimator(&self) -> Option<&str> {
-        self.estimator.as_deref()
+    /// The contact estimators, and which of them.
+    pub(crate) fn estimator(&self) -> &EstimatorArgs {
+        &self.estimator
     }
 
     /// As the planner wants it.
@@ -358,7 +359,7 @@ mod tests {
         assert!(parse("--t-fc 1.5").unwrap_err().contains("from 0 to 1"));
         assert!(parse("--trace").unwrap_err().contains("--json"));
         assert!(parse("--trace --json").unwrap().search.options().unwrap().trace);
-        assert_eq!(parse("--estimator geometric").unwrap().scene.estimator(), Some("geometric"));
+        assert_eq!(parse("--estimator geometric").unwrap().scene.estimator().name(), Some("geometric"));
         let message = parse("--friction 0").unwrap().search.options().unwrap_err().to_string();
         assert!(message.starts_with("--friction: found 0, expected"), "{message}");
     }

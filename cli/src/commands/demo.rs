@@ -12,6 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::plan::{FrameFiles, views, write_file};
 use crate::demo_scene;
+use crate::estimators::EstimatorArgs;
 use crate::local::{Observed, Settings};
 use crate::outcome::Outcome;
 use crate::output::table;
@@ -55,7 +56,9 @@ pub(crate) fn run(args: &DemoArgs) -> anyhow::Result<()> {
     // Twice the usual batch: on a frame with small objects the largest hands need the choice.
     let search = PlanOptions { seed: args.seed, batch: 96, ..PlanOptions::default() };
     let scene_options = SceneOptions::default();
-    let question = Question { files: &files, settings: settings(&scene_options, &search), hands: &hands };
+    let estimator = EstimatorArgs::default();
+    let question =
+        Question { files: &files, settings: settings(&scene_options, &search, &estimator), hands: &hands };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let answers = runtime.block_on(over_the_wire(&question))?;
 
@@ -78,8 +81,12 @@ pub(crate) fn run(args: &DemoArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn settings<'a>(scene: &'a SceneOptions, search: &'a PlanOptions) -> Settings<'a> {
-    Settings { scene, search, estimator: None, budget: None }
+fn settings<'a>(
+    scene: &'a SceneOptions,
+    search: &'a PlanOptions,
+    estimator: &'a EstimatorArgs,
+) -> Settings<'a> {
+    Settings { scene, search, estimator, budget: None }
 }
 
 /// Starts a server on a free port of this machine and asks it.
@@ -106,7 +113,7 @@ async fn over_the_wire(question: &Question<'_>) -> anyhow::Result<Answers> {
 fn draw(folder: &Path, files: &FrameFiles, outcomes: &[Outcome]) -> anyhow::Result<(PathBuf, PathBuf)> {
     // The answer carries grasps, not the contact field: the same scene is read here once more.
     let observed = Observed::Frame(Box::new(files.frame.clone()));
-    let scene = observed.scene(&SceneOptions::default())?;
+    let scene = observed.scene(&SceneOptions::default(), &EstimatorArgs::default())?;
     let view = ViewScene::new(&scene, Some(&files.frame));
     let hands: Vec<Hand> = outcomes.iter().filter_map(|o| library::hand(&o.hand)).cloned().collect();
     let shown = views(&hands, outcomes);
@@ -184,7 +191,12 @@ mod tests {
             PlanOptions { batch: 16, scheme: Scheme::QUICK, seed: 7, trace: true, ..PlanOptions::default() };
         let scene_options = SceneOptions::default();
         let hands = ["robotiq-2f85".to_owned(), "leap".to_owned()];
-        let question = Question { files: &files, settings: settings(&scene_options, &search), hands: &hands };
+        let estimator = EstimatorArgs::default();
+        let question = Question {
+            files: &files,
+            settings: settings(&scene_options, &search, &estimator),
+            hands: &hands,
+        };
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
         let answers = runtime.block_on(over_the_wire(&question)).unwrap();
         let observed = Observed::Frame(Box::new(files.frame.clone()));
@@ -229,7 +241,12 @@ mod tests {
         let files = FrameFiles::new(depth, file, None).unwrap();
         let (search, scene_options) = (PlanOptions::default(), SceneOptions::default());
         let hands = ["robotiq_3f".to_owned()];
-        let question = Question { files: &files, settings: settings(&scene_options, &search), hands: &hands };
+        let estimator = EstimatorArgs::default();
+        let question = Question {
+            files: &files,
+            settings: settings(&scene_options, &search, &estimator),
+            hands: &hands,
+        };
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
         let message = runtime.block_on(over_the_wire(&question)).unwrap_err().to_string();
         assert!(message.contains("did you mean \"robotiq-3f\"?"), "{message}");

@@ -36,7 +36,7 @@ pub(crate) struct PlanArgs {
     #[arg(long, value_name = "PNG")]
     labels: Option<PathBuf>,
     /// Plan in a contact field that was made elsewhere (NumPy archive) instead of a depth image
-    #[arg(long, value_name = "NPZ", conflicts_with_all = ["depth", "intrinsics", "labels", "server"])]
+    #[arg(long, value_name = "NPZ", conflicts_with_all = ["depth", "intrinsics", "labels", "server", "estimator", "model"])]
     contact_field: Option<PathBuf>,
     /// Ask this server, for example http://127.0.0.1:50051, instead of planning in this process. Left out, the
     /// variable GRASPD_SERVER of the environment names it; a contact field is planned in here in any case
@@ -103,7 +103,8 @@ pub(crate) fn run(args: &PlanArgs) -> anyhow::Result<()> {
     }
     if wants_view {
         // Drawings need the scene, which a server's answer does not carry.
-        let scene = scene.map_or_else(|| input.observed().scene(&scene_options), Ok)?;
+        let scene =
+            scene.map_or_else(|| input.observed().scene(&scene_options, args.scene.estimator()), Ok)?;
         let view = ViewScene::new(&scene, input.observed().frame());
         let shown = views(&hands, &outcomes);
         if let Some(path) = &args.page {

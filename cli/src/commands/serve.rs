@@ -7,6 +7,8 @@ use std::time::Duration;
 use clap::Args;
 use graspd_server::{Server, ServerConfig, shutdown_signal};
 
+use crate::estimators::EstimatorArgs;
+
 /// Serves grasps over gRPC until SIGINT or SIGTERM, then finishes what is running.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct ServeArgs {
@@ -36,6 +38,8 @@ pub(crate) struct ServeArgs {
     /// Folder of hands to offer besides the library, one folder for each hand
     #[arg(long, env = "GRASPD_HANDS_DIR", value_name = "DIR")]
     hands_dir: Option<PathBuf>,
+    #[command(flatten)]
+    estimator: EstimatorArgs,
     /// Seconds that running requests may take to finish at the end
     #[arg(long, default_value_t = 10.0, env = "GRASPD_DRAIN_SECONDS", value_name = "SECONDS")]
     drain_seconds: f64,
@@ -64,8 +68,8 @@ impl ServeArgs {
             max_message_bytes: self.max_message_mib as usize * 1024 * 1024,
             pool,
             hands_dir: self.hands_dir.clone(),
+            estimators: self.estimator.all()?,
             drain_grace,
-            ..ServerConfig::default()
         })
     }
 }

@@ -87,7 +87,7 @@ pub(crate) async fn ask(
         });
         let request = PlanMultiHandRequest {
             frames: vec![to_wire::frame(question.files)],
-            scene_options: Some(to_wire::scene_options(settings.scene, settings.estimator)),
+            scene_options: Some(to_wire::scene_options(settings.scene, settings.estimator.name())),
             tasks: tasks.collect(),
         };
         let mut slots: Vec<Option<Outcome>> = vec![None; hands.len()];

@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 
 use super::ContactEstimator;
-use super::centroids::{Extent, extents, normalized};
+use super::centroids::{Extent, Peaks, extents, normalized};
 use super::chords::{Body, MAX_CHORD_M};
 use super::smoothing::{Region, smooth};
 use crate::budget::{Budget, Stop};
@@ -93,7 +93,7 @@ impl ContactEstimator for Geometric {
             }
         }
         let votes = smooth(&grid, &smooth(&grid, &votes, &region), &region);
-        field.centroid = normalized(&grid, &votes, &extents);
+        field.centroid = normalized(&grid, &votes, &extents, Peaks::CHORDS);
         Ok(field)
     }
 }

@@ -18,6 +18,7 @@ use graspd_planner::workspace::{Workspace, frame_points};
 use super::stats::time;
 use crate::clock::StdBudget;
 use crate::demo_scene;
+use crate::estimators::EstimatorArgs;
 use crate::input::npz;
 use crate::local::Observed;
 
@@ -48,10 +49,12 @@ impl Bench {
     pub(super) fn new(contact_field: Option<&Path>) -> anyhow::Result<Self> {
         let (depth, file) = demo_scene::bundled()?;
         let frame = file.frame(&depth, None)?;
-        let framed = Observed::Frame(Box::new(frame.clone())).scene(&SceneOptions::default())?;
+        let framed = Observed::Frame(Box::new(frame.clone()))
+            .scene(&SceneOptions::default(), &EstimatorArgs::default())?;
         let (loaded, source) = match contact_field {
             Some(path) => {
-                let scene = Observed::Field(Box::new(npz::open(path)?)).scene(&SceneOptions::default())?;
+                let scene = Observed::Field(Box::new(npz::open(path)?))
+                    .scene(&SceneOptions::default(), &EstimatorArgs::default())?;
                 (Some(scene), path.display().to_string())
             }
             None => (None, "the bundled frame".to_owned()),
@@ -190,7 +193,7 @@ impl Bench {
     fn pipeline(&self, hands: &[&Hand]) -> Duration {
         let observed = Observed::Frame(Box::new(self.frame.clone()));
         time(|| {
-            let scene = observed.scene(&SceneOptions::default());
+            let scene = observed.scene(&SceneOptions::default(), &EstimatorArgs::default());
             scene.map(|scene| {
                 hands
                     .iter()

@@ -11,7 +11,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::commands::args::{parse_scheme, parse_volume};
 use crate::commands::plan::write_file;
-use crate::{hand_source, local};
+use crate::estimators::EstimatorArgs;
+use crate::hand_source;
 
 /// Plans for the parallel jaw in simulated clutter from several views, and judges the best 50 grasps of each
 /// against the exact scene: collision, emptiness, analytic force closure (Supplementary Note 3). Same seed,
@@ -45,9 +46,8 @@ pub(crate) struct ApArgs {
     /// Same seed: same scenes, noise and plans
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Contact estimator by name
-    #[arg(long, value_name = "NAME")]
-    estimator: Option<String>,
+    #[command(flatten)]
+    estimator: EstimatorArgs,
     /// Plan from the contact dataset's labels of the exact scene instead: what a network that had learnt all of them
     /// would reach
     #[arg(long, conflicts_with = "estimator")]
@@ -68,7 +68,7 @@ pub(crate) struct ApArgs {
 /// # Errors
 /// For a hand that is no parallel jaw, files that cannot be written, and settings of no use.
 pub(crate) fn run(args: &ApArgs) -> anyhow::Result<()> {
-    let estimator = local::estimator(args.estimator.as_deref())?;
+    let estimator = args.estimator.chosen()?;
     let settings = ApSettings {
         hand: Arc::new(hand_source::resolve(&args.hand)?),
         scenes: args.scenes as usize,

@@ -16,7 +16,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::objects;
 use crate::commands::args::{parse_scheme, parse_volume};
 use crate::commands::plan::write_file;
-use crate::local;
+use crate::estimators::EstimatorArgs;
 
 /// Which rows of the table are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -58,9 +58,8 @@ pub(crate) struct ClearArgs {
     give_up: u32,
     #[command(flatten)]
     objects: objects::ObjectArgs,
-    /// Contact estimator by name
-    #[arg(long, value_name = "NAME")]
-    estimator: Option<String>,
+    #[command(flatten)]
+    estimator: EstimatorArgs,
     /// What the volume stores: tsdf or occupancy
     #[arg(long, default_value = "tsdf", value_parser = parse_volume)]
     volume: VolumeKind,
@@ -90,7 +89,7 @@ pub(crate) struct ClearArgs {
 /// For unknown hands, files that cannot be read or written, and settings of no use.
 pub(crate) fn run(args: &ClearArgs) -> anyhow::Result<()> {
     let hands = super::hands(&args.hands)?;
-    let estimator = local::estimator(args.estimator.as_deref())?;
+    let estimator = args.estimator.chosen()?;
     let (objects, about_objects) = args.objects.objects(args.items as usize, args.seed)?;
     let jobs = super::jobs(args.jobs);
     let settings = ClearSettings {

@@ -13,7 +13,8 @@ use graspd_training::evaluate::{FailedTrial, Replay, Station, picture, plan_agai
 use nalgebra::Point3;
 
 use crate::commands::plan::write_file;
-use crate::{hand_source, local};
+use crate::estimators::EstimatorArgs;
+use crate::hand_source;
 
 /// Width and height of one picture, pixels.
 const PANEL_PX: [usize; 2] = [520, 468];
@@ -33,9 +34,8 @@ pub(crate) struct LookArgs {
     /// Plan again from the same depth image, as the planner plans today, instead of executing the old grasp
     #[arg(long)]
     plan: bool,
-    /// Contact estimator by name, with --plan
-    #[arg(long, value_name = "NAME", requires = "plan")]
-    estimator: Option<String>,
+    #[command(flatten)]
+    estimator: EstimatorArgs,
 }
 
 /// Runs the command.
@@ -47,7 +47,7 @@ pub(crate) fn run(args: &LookArgs) -> anyhow::Result<()> {
     let text = std::fs::read_to_string(&args.file).with_context(at)?;
     let trial = FailedTrial::from_json(&text).with_context(at)?;
     let hand = Arc::new(hand_source::resolve(args.hand.as_deref().unwrap_or(&trial.attempt.hand))?);
-    let estimator = local::estimator(args.estimator.as_deref())?;
+    let estimator = args.estimator.chosen()?;
 
     let mut panels: Vec<RgbImage> = Vec::new();
     let mut focus = Point3::origin();
