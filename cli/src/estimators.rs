@@ -71,7 +71,10 @@ impl EstimatorArgs {
 }
 
 /// The network in a file.
-fn network(path: &Path) -> anyhow::Result<Network> {
+///
+/// # Errors
+/// For a file that cannot be read or is not one of ours.
+pub(crate) fn network(path: &Path) -> anyhow::Result<Network> {
     let bytes = std::fs::read(path).with_context(|| format!("--model {}: cannot be read", path.display()))?;
     Network::from_bytes(&bytes).with_context(|| format!("--model {}", path.display()))
 }

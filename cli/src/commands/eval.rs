@@ -2,6 +2,7 @@
 
 mod ap;
 mod clear;
+mod contacts;
 mod look;
 mod objects;
 
@@ -27,6 +28,7 @@ enum What {
     Clear(clear::ClearArgs),
     Ap(ap::ApArgs),
     Look(look::LookArgs),
+    Contacts(contacts::ContactsArgs),
 }
 
 /// Runs the command.
@@ -38,6 +40,7 @@ pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
         What::Clear(args) => clear::run(args),
         What::Ap(args) => ap::run(args),
         What::Look(args) => look::run(args),
+        What::Contacts(args) => contacts::run(args),
     }
 }
 

@@ -16,6 +16,9 @@ mod report;
 // Average precision of the parallel jaw.
 pub mod ap;
 
+// How well networks find contacts.
+pub mod contacts;
+
 // Numbers and how they are shown.
 pub mod picture;
 pub mod statistics;
