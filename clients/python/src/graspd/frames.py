@@ -129,6 +129,12 @@ class DepthFrame:
             if isinstance(self.depth, np.ndarray) and labels.shape != self.depth.shape:
                 raise ValueError(f"labels: found shape {labels.shape}, expected the depth's {self.depth.shape}")
 
+    def __repr__(self) -> str:
+        depth = self.depth
+        image = "PNG" if isinstance(depth, bytes) else f"{depth.shape[1]} × {depth.shape[0]} {depth.dtype}"
+        where = self.camera_frame if self.camera_pose is None else f"{self.camera_frame} in {self.world_frame}"
+        return f"<DepthFrame {image}, {where}>"
+
     def metres(self) -> NDArray[np.float32]:
         """Depth in metres, 0 where nothing was seen.
 
