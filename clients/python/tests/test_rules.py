@@ -145,6 +145,12 @@ def test_the_client_is_of_the_servers_version() -> None:
     assert found and found[1] == graspd.__version__
 
 
+def test_the_licences_are_the_repositorys() -> None:
+    # Copies: archives of sources cannot link to what is outside of them.
+    for name in ("LICENSE-MIT", "LICENSE-APACHE"):
+        assert (HERE.parent / name).read_bytes() == (HERE.parents[2] / name).read_bytes()
+
+
 def test_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
     def target(address: str | None, **more: object) -> tuple[str, bool]:
         resolved = Settings(address=address, **more).resolved()  # type: ignore[arg-type]
