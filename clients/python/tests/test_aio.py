@@ -99,6 +99,10 @@ def test_leaving_a_stream_ends_the_work(small_server: Server, frame: graspd.Dept
                 assert isinstance(await anext(stream), graspd.Accepted)
             assert [event async for event in stream] == []
             await asyncio.to_thread(answers_soon, small_server, frame)
+            async for event in planner.stream(frame, hand="leap", options=LONG):
+                assert isinstance(event, graspd.Accepted)
+                break
+            await asyncio.to_thread(answers_soon, small_server, frame)
 
     run(body)
 

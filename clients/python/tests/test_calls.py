@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -75,6 +79,45 @@ def test_leaving_a_stream_ends_the_work(small_server: Server, frame: graspd.Dept
             break
         results.close()  # type: ignore[attr-defined]
         answers_soon(small_server, frame)
+
+
+def test_a_forgotten_stream_ends_the_work(small_server: Server, frame: graspd.DepthFrame) -> None:
+    with graspd.connect(small_server.address, timeout=300) as planner:
+        for event in planner.stream(frame, hand="leap", options=LONG):
+            assert isinstance(event, graspd.Accepted)
+            break
+        answers_soon(small_server, frame)
+
+
+INTERRUPTED = """
+import graspd, sys
+from tests.conftest import LONG
+with graspd.connect(sys.argv[1], timeout=300) as planner:
+    print("asking", flush=True)
+    try:
+        planner.plan(graspd.examples.box_frame(), hand="leap", options=LONG)
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
+        input()
+"""
+
+
+def test_an_interrupt_ends_the_work(small_server: Server, frame: graspd.DepthFrame) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, small_server.address],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[1],
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "asking\n"
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.readline() == "interrupted\n"
+        # It lives on, and its connection with it: the call has ended all the same.
+        answers_soon(small_server, frame)
+        process.communicate("\n", timeout=SOON)
 
 
 def test_a_stream_is_cancelled_from_another_thread(small_server: Server, frame: graspd.DepthFrame) -> None:

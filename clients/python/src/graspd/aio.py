@@ -416,6 +416,12 @@ class AsyncStream(Generic[_T]):
         if self._call is not None:
             self._call.cancel()
 
+    def __del__(self) -> None:
+        # A loop that breaks outside of an `async with` block leaves nobody who could read on.
+        call = getattr(self, "_call", None)
+        if call is not None and not call.done():
+            call.cancel()
+
     async def __aenter__(self) -> AsyncStream[_T]:
         return self
 

@@ -510,6 +510,13 @@ class Stream(Generic[_T]):
         if messages is not None:
             messages.cancel()
 
+    def __del__(self) -> None:
+        # A loop that breaks outside of a `with` block leaves nobody who could read on. One that was never built
+        # completely has no messages.
+        messages = getattr(self, "_messages", None)
+        if messages is not None:
+            messages.cancel()
+
     def __enter__(self) -> Stream[_T]:
         return self
 
