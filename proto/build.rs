@@ -5,13 +5,14 @@ use std::path::PathBuf;
 
 use prost::Message as _;
 
-const FILES: [&str; 6] = [
+const FILES: [&str; 7] = [
     "graspd/v1/geometry.proto",
     "graspd/v1/frame.proto",
     "graspd/v1/options.proto",
     "graspd/v1/grasp.proto",
     "graspd/v1/planner_service.proto",
     "graspd/v1/hand_service.proto",
+    "graspd/v1/info_service.proto",
 ];
 
 /// Fields that can be megabytes: decoded as views into the received message instead of copies.

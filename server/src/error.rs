@@ -169,7 +169,10 @@ pub enum ServiceError {
         what: String,
     },
     /// There is no such method.
-    #[error("method {path:?}: not found; this server has graspd.v1.PlannerService and graspd.v1.HandService")]
+    #[error(
+        "method {path:?}: not found; this server has graspd.v1.PlannerService, graspd.v1.HandService and \
+         graspd.v1.InfoService"
+    )]
     UnknownMethod {
         /// Path of the method as asked for.
         path: String,

@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use graspd_proto::v1::hand_service_server::HandServiceServer;
+use graspd_proto::v1::info_service_server::InfoServiceServer;
 use graspd_proto::v1::planner_service_server::PlannerServiceServer;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
@@ -20,7 +21,7 @@ use crate::engine::Engine;
 use crate::estimators::Estimators;
 use crate::pool::{Pool, PoolConfig, PoolError};
 use crate::registry::{FolderError, Registry};
-use crate::service::{CallLayer, HandApi, PlannerApi};
+use crate::service::{CallLayer, HandApi, InfoApi, PlannerApi};
 
 /// HTTP/2 window of a stream: a whole depth frame, so that it is not throttled by round trips.
 const STREAM_WINDOW_BYTES: u32 = 8 << 20;
@@ -191,6 +192,10 @@ impl Server {
             .max_decoding_message_size(config.max_message_bytes);
         let hands = HandServiceServer::new(HandApi { engine: Arc::clone(&engine) })
             .max_decoding_message_size(config.max_message_bytes);
+        let info = InfoServiceServer::new(InfoApi {
+            engine: Arc::clone(&engine),
+            max_message_bytes: config.max_message_bytes,
+        });
         let (health, health_service) = tonic_health::server::health_reporter();
         set_health(&health, ServingStatus::Serving).await;
         let described = || {
@@ -210,7 +215,8 @@ impl Server {
             // What tools of yesterday ask for.
             .add_service(described().build_v1alpha()?)
             .add_service(planner)
-            .add_service(hands);
+            .add_service(hands)
+            .add_service(info);
         let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
         let (stop, stopped) = oneshot::channel::<()>();
         let serving = router.serve_with_incoming_shutdown(incoming, async {
@@ -242,7 +248,7 @@ impl Server {
 }
 
 async fn set_health(reporter: &HealthReporter, status: ServingStatus) {
-    for service in ["", "graspd.v1.PlannerService", "graspd.v1.HandService"] {
+    for service in ["", "graspd.v1.PlannerService", "graspd.v1.HandService", "graspd.v1.InfoService"] {
         reporter.set_service_status(service, status).await;
     }
 }

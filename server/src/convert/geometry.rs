@@ -64,14 +64,16 @@ pub(super) fn vector_message(v: &Vector3<f64>) -> v1::Vector3 {
     v1::Vector3 { x: v.x, y: v.y, z: v.z }
 }
 
-/// A pose on the wire.
-pub(super) fn pose_message(frame_id: &str, pose: &Isometry3<f64>) -> v1::PoseInFrame {
+/// A pose on the wire, in a frame that its field names.
+pub(super) fn bare_pose_message(pose: &Isometry3<f64>) -> v1::Pose {
     let q = pose.rotation.quaternion();
-    v1::PoseInFrame {
-        frame_id: frame_id.to_owned(),
-        pose: Some(v1::Pose {
-            position: Some(vector_message(&pose.translation.vector)),
-            orientation: Some(v1::Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }),
-        }),
+    v1::Pose {
+        position: Some(vector_message(&pose.translation.vector)),
+        orientation: Some(v1::Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }),
     }
+}
+
+/// A pose on the wire, and its frame.
+pub(super) fn pose_message(frame_id: &str, pose: &Isometry3<f64>) -> v1::PoseInFrame {
+    v1::PoseInFrame { frame_id: frame_id.to_owned(), pose: Some(bare_pose_message(pose)) }
 }

@@ -7,12 +7,14 @@ mod frame;
 mod geometry;
 mod grasp;
 mod hand;
+mod hand_geometry;
 mod options;
 mod request;
 
 pub(crate) use frame::EncodedFrame;
 pub(crate) use grasp::{PlanContext, out_of_time_response, plan_response};
 pub(crate) use hand::{hand_id, hand_message, hand_name};
+pub(crate) use hand_geometry::geometry_message;
 pub(crate) use request::{HandJob, SceneRequest, multi_hand, plan_grasps};
 
 use std::fmt::Display;

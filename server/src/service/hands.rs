@@ -8,7 +8,7 @@ use graspd_proto::v1::hand_service_server::HandService;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::clock;
-use crate::convert::{hand_id, hand_message, quoted};
+use crate::convert::{geometry_message, hand_id, hand_message, quoted};
 use crate::deadline::CallBudget;
 use crate::engine::Engine;
 use crate::error::{FieldError, HandProblem, ServiceError};
@@ -65,6 +65,14 @@ impl HandService for HandApi {
         let id = hand_id(&request.into_inner().name, "name").map_err(ServiceError::from)?;
         let hand = message(&self.engine.registry.get(&id)?);
         Ok(Response::new(v1::GetHandResponse { hand: Some(hand) }))
+    }
+
+    async fn get_hand_geometry(
+        &self,
+        request: Request<v1::GetHandGeometryRequest>,
+    ) -> Result<Response<v1::GetHandGeometryResponse>, Status> {
+        let id = hand_id(&request.into_inner().name, "name").map_err(ServiceError::from)?;
+        Ok(Response::new(geometry_message(&self.engine.registry.get(&id)?.hand)))
     }
 
     async fn create_hand(

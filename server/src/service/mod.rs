@@ -1,10 +1,12 @@
 //! The gRPC services: thin translations between tonic and the engine.
 
 mod hands;
+mod info;
 mod layer;
 mod planner;
 
 pub(crate) use hands::HandApi;
+pub(crate) use info::InfoApi;
 pub(crate) use layer::CallLayer;
 pub(crate) use planner::PlannerApi;
 

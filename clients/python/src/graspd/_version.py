@@ -1,0 +1,3 @@
+"""The version of this client: that of the repository it came from."""
+
+__version__ = "0.1.0"
