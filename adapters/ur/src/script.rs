@@ -19,6 +19,11 @@
 //!
 //! The tool centre point is set to the flange while the script runs, so that speeds on lines are those of the flange,
 //! and put back when it ends in order.
+//!
+//! What `servoj` is given in a stream is not the target but a point on the way to it (`g_toward`), step by step: no joint
+//! changes its speed faster than `limits.joint_acceleration_rad_s2`, none is faster than `limits.joint_speed_rad_s`, and
+//! none is faster than it can brake before its target. Where the flange would be faster than its caller allows, all joints
+//! slow down together.
 
 use std::fmt::Write;
 
@@ -146,6 +151,8 @@ pub(crate) fn control_script(config: &UrConfig, token: i32) -> String {
     let _ = writeln!(text, "  global g_missed_most = {}", steps(heartbeat.timeout_s));
     let _ = writeln!(text, "  global g_stale_most = {}", steps(STREAM_TIMEOUT_S));
     let _ = writeln!(text, "  global g_rest_most = {:e}", limits.force_n);
+    let _ = writeln!(text, "  global g_joint_speed = {:e}", limits.joint_speed_rad_s);
+    let _ = writeln!(text, "  global g_joint_acceleration = {:e}", limits.joint_acceleration_rad_s2);
     text.push_str(BODY);
     if let Some(payload) = &config.payload {
         let [x, y, z] = payload.center_m;
@@ -162,6 +169,8 @@ const BODY: &str = "  global g_kind = 0
   global g_target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
   global g_near = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
   global g_servo = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  global g_at = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  global g_rate = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
   global g_rest = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
   global g_speed = 0.0
   global g_acceleration = 0.0
@@ -204,9 +213,55 @@ const BODY: &str = "  global g_kind = 0
     g_moving = 0
   end
 
+  def g_toward(goal):
+    wanted = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    ahead = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    change = g_joint_acceleration * g_step
+    i = 0
+    while i < 6:
+      way = goal[i] - g_at[i]
+      far = norm(way)
+      fast = 0.5 * (sqrt(change * change + 8.0 * g_joint_acceleration * far) - change)
+      if fast > far / g_step:
+        fast = far / g_step
+      end
+      if fast > g_joint_speed:
+        fast = g_joint_speed
+      end
+      if way < 0.0:
+        fast = 0.0 - fast
+      end
+      wanted[i] = fast
+      ahead[i] = g_at[i] + fast * g_step
+      i = i + 1
+    end
+    here = get_forward_kin(g_at)
+    there = get_forward_kin(ahead)
+    flange = norm([there[0] - here[0], there[1] - here[1], there[2] - here[2]]) / g_step
+    share = 1.0
+    if flange > g_speed:
+      share = g_speed / flange
+    end
+    i = 0
+    while i < 6:
+      more = share * wanted[i] - g_rate[i]
+      if more > change:
+        more = change
+      elif more < 0.0 - change:
+        more = 0.0 - change
+      end
+      wanted[i] = g_rate[i] + more
+      ahead[i] = g_at[i] + wanted[i] * g_step
+      i = i + 1
+    end
+    g_rate = wanted
+    g_at = ahead
+  end
+
   thread g_follow():
     while True:
-      servoj(g_servo, t=g_step, lookahead_time=g_lookahead, gain=g_gain)
+      g_toward(g_servo)
+      servoj(g_at, t=g_step, lookahead_time=g_lookahead, gain=g_gain)
     end
   end
 
@@ -308,6 +363,8 @@ const LOOP: &str = "  number = read_input_integer_register(24)
         g_finish(number, 3)
       elif g_kind == 5 or g_kind == 6:
         g_servo = get_target_joint_positions()
+        g_at = g_servo
+        g_rate = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         count = read_input_integer_register(27)
         stale = 0
         g_moving = 1
@@ -344,7 +401,7 @@ const LOOP: &str = "  number = read_input_integer_register(24)
           if g_kind == 5:
             g_servo = g_target
           else:
-            g_servo = get_inverse_kin(g_pose(), get_target_joint_positions())
+            g_servo = get_inverse_kin(g_pose(), g_servo)
           end
         end
         if stale > g_stale_most:
@@ -374,6 +431,7 @@ mod tests {
         let text = control_script(&config, 77);
         assert!(text.contains("g_stop_joint = 6e0") && text.contains("g_missed_most = 100"), "{text}");
         assert!(text.contains("write_output_integer_register(28, 77)"));
+        assert!(text.contains("g_joint_speed = 1.5e0") && text.contains("g_joint_acceleration = 4e0"), "{text}");
         let words = |word: &str| text.split_whitespace().filter(|w| *w == word).count();
         let opened = words("def") + words("thread") + words("if") + words("while");
         assert_eq!(opened, words("end"));
