@@ -30,7 +30,7 @@ pub mod stamps;
 pub mod streaming;
 pub mod task;
 
-pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits, Reached};
+pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Leg, Limits, Reach, Reached};
 pub use async_trait::async_trait;
 pub use camera::{CameraInfo, DepthCamera, DepthFrame, Lens};
 pub use error::{DeviceError, FaultKind};

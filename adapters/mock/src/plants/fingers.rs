@@ -1,5 +1,5 @@
-//! The fingers of a hand of the world as motors of an emulated device: targets, speeds and one force in, positions,
-//! speeds and loads out.
+//! The fingers of a hand of the world as motors of an emulated device: targets, speeds and forces in, positions, speeds
+//! and loads out.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
@@ -25,8 +25,8 @@ pub(super) struct Told {
     pub(super) targets: Vec<Option<f64>>,
     /// How fast, per second.
     pub(super) speeds: Vec<f64>,
-    /// Share of each actuator's full effort.
-    pub(super) force: f64,
+    /// Share of its full effort that each may use.
+    pub(super) forces: Vec<f64>,
 }
 
 /// What was measured of one motor.
@@ -127,7 +127,7 @@ struct Lead {
     /// Where each actuator was when it last moved, and when that was.
     anchors: Vec<(f64, f64)>,
     before: Vec<f64>,
-    commanded: Option<(Vec<f64>, f64)>,
+    commanded: Option<(Vec<f64>, Vec<f64>)>,
 }
 
 impl Process for Lead {
@@ -163,11 +163,12 @@ impl Process for Lead {
             self.references[i] =
                 (self.references[i] + way).clamp(state.actuators[i] - ahead, state.actuators[i] + ahead);
         }
-        let command = (self.references.clone(), told.force);
+        let command = (self.references.clone(), told.forces.clone());
         drop(line);
         if self.commanded.as_ref() != Some(&command) {
-            let (actuators, force) = command.clone();
-            if !world.command(self.hand, Command::Close { actuators, force, speed: 1.0 }) {
+            let actuators = command.0.clone();
+            let close = Command::Close { actuators, force: 1.0, speed: 1.0 };
+            if !(world.share_forces(self.hand, &command.1) && world.command(self.hand, close)) {
                 return true;
             }
             self.commanded = Some(command);
