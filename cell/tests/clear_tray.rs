@@ -395,7 +395,10 @@ async fn a_tray_beyond_reach_ends_the_run_and_says_so() {
     shared.world().reach_x_m = Some(-1.0);
     let (report, _) = run(&shared, &config()).await;
     let End::NoGrasp { why } = &report.end else { panic!("{:?}", report.end) };
-    assert!(why.starts_with("none of 3 grasps is in reach; the best, to its grasp: arm: x: found far"), "{why}");
+    assert!(
+        why.starts_with("none of 3 grasps is in reach; the best, to its grasp: arm: x: found far"),
+        "{why}"
+    );
     assert_eq!((report.tally.trials, shared.world().in_tray), (0, 2));
     // The hand has not come near the tray.
     assert!(shared.world().moves.iter().all(|(_, at)| at.translation.vector.x > 0.2));

@@ -133,7 +133,8 @@ mod tests {
         }
         // Ours keeps the order within each finger, the thumb last.
         let ids: Vec<u8> = leap().iter().map(|j| j.id).collect();
-        let fingers = |ids: &[u8]| ids.chunks(4).map(<[u8]>::to_vec).collect::<std::collections::BTreeSet<_>>();
+        let fingers =
+            |ids: &[u8]| ids.chunks(4).map(<[u8]>::to_vec).collect::<std::collections::BTreeSet<_>>();
         assert_eq!(fingers(&ids), fingers(&published));
         let of = |id: u8| leap().into_iter().find(|j| j.id == id).unwrap();
         for (id, lower, upper) in [

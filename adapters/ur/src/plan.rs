@@ -241,7 +241,8 @@ mod tests {
         let (arm, limits) = (Kinematics::new(Model::Ur5e), everywhere());
         let start = arm.forward(&HOME);
         let line = |to: &Isometry3<f64>| {
-            line_motion(&arm, &Isometry3::identity(), (&start, &HOME), to, allowed(&limits)).map(|(_, pace)| pace)
+            line_motion(&arm, &Isometry3::identity(), (&start, &HOME), to, allowed(&limits))
+                .map(|(_, pace)| pace)
         };
         let mut down = start;
         down.translation.vector.z -= 0.1;

@@ -137,7 +137,8 @@ mod tests {
         // Code, argument, length of the title, title, text.
         let key = [&[0, 0, 0, 0, 0, 0, 0, 0, 19][..], b"PROGRAM_XXX_STARTEDgraspd_control"].concat();
         // Code, argument, level, type of data, data, text.
-        let error = [&[0, 0, 0, 210, 0, 0, 0, 4, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0][..], b"read-only"].concat();
+        let error =
+            [&[0, 0, 0, 210, 0, 0, 0, 4, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0][..], b"read-only"].concat();
         let found = reader.push(&[packet(7, &key), packet(6, &error), packet(0, b"hi")].concat()).unwrap();
         let said: Vec<String> = found.iter().map(ToString::to_string).collect();
         assert_eq!(said, ["PROGRAM_XXX_STARTED graspd_control", "C210A4 read-only", "hi"]);

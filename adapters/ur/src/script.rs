@@ -431,7 +431,10 @@ mod tests {
         let text = control_script(&config, 77);
         assert!(text.contains("g_stop_joint = 6e0") && text.contains("g_missed_most = 100"), "{text}");
         assert!(text.contains("write_output_integer_register(28, 77)"));
-        assert!(text.contains("g_joint_speed = 1.5e0") && text.contains("g_joint_acceleration = 4e0"), "{text}");
+        assert!(
+            text.contains("g_joint_speed = 1.5e0") && text.contains("g_joint_acceleration = 4e0"),
+            "{text}"
+        );
         let words = |word: &str| text.split_whitespace().filter(|w| *w == word).count();
         let opened = words("def") + words("thread") + words("if") + words("while");
         assert_eq!(opened, words("end"));

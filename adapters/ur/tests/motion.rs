@@ -481,7 +481,10 @@ async fn what_is_out_of_reach_is_known_before_anything_moves_and_then_refused() 
             match expected {
                 Some((at, field)) if at == i => {
                     let error = gone.unwrap_err();
-                    assert!(matches!(&error, DeviceError::OutOfRange { field: f, .. } if f == field), "{error}");
+                    assert!(
+                        matches!(&error, DeviceError::OutOfRange { field: f, .. } if f == field),
+                        "{error}"
+                    );
                 }
                 _ => gone.unwrap(),
             }

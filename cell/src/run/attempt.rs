@@ -66,12 +66,7 @@ impl Attempt {
     }
 
     /// Takes an answer; grasps out of reach are left out, grasps near to those that failed come last.
-    pub(super) fn take(
-        &mut self,
-        answer: Answer,
-        out_of_reach: Vec<OutOfReach>,
-        failed: &[Isometry3<f64>],
-    ) {
+    pub(super) fn take(&mut self, answer: Answer, out_of_reach: Vec<OutOfReach>, failed: &[Isometry3<f64>]) {
         let near = |grasp: &PlannedGrasp| {
             let pose = grasp.world_from_hand.isometry();
             failed.iter().any(|f| {

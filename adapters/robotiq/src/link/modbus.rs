@@ -210,7 +210,8 @@ mod tests {
         let (ours, mut theirs) = tokio::io::duplex(512);
         let address = "127.0.0.1:502".to_owned();
         let link = LinkSettings::ModbusTcp { address };
-        let settings = RobotiqSettings { model: crate::Model::ThreeFinger, link, ..RobotiqSettings::default() };
+        let settings =
+            RobotiqSettings { model: crate::Model::ThreeFinger, link, ..RobotiqSettings::default() };
         let ([reads_from, writes_from], input_registers) =
             (settings.first_registers(), settings.reads_input_registers());
         let mut link = ModbusLink {
@@ -224,10 +225,14 @@ mod tests {
         let slave = tokio::spawn(async move {
             // After the transaction's number: protocol 0, length, unit 9.
             for (ask, answer) in [
-                ("00 00 00 17 09 10 00 00 00 08 10 0B 0C 00 0A 0B 0C 14 15 16 1E 1F 20 28 29 2A 00",
-                 "00 00 00 06 09 10 00 00 00 08"),
-                ("00 00 00 06 09 04 00 00 00 08",
-                 "00 00 00 13 09 04 10 39 AA 00 0A 09 01 14 13 02 1E 1D 03 28 27 04 00"),
+                (
+                    "00 00 00 17 09 10 00 00 00 08 10 0B 0C 00 0A 0B 0C 14 15 16 1E 1F 20 28 29 2A 00",
+                    "00 00 00 06 09 10 00 00 00 08",
+                ),
+                (
+                    "00 00 00 06 09 04 00 00 00 08",
+                    "00 00 00 13 09 04 10 39 AA 00 0A 09 01 14 13 02 1E 1D 03 28 27 04 00",
+                ),
             ] {
                 let mut found = vec![0; hex(ask).len() + 2];
                 theirs.read_exact(&mut found).await.unwrap();

@@ -255,7 +255,10 @@ mod tests {
             let (mut stream, _) = listener.accept().await.unwrap();
             for (asked, answer) in [
                 (bytes("00 05 56 00 02", ""), bytes("00 04 56 01", "")),
-                (bytes("00 03 76", ""), bytes("00 13 76 00 00 00 05 00 00 00 11 00 00 00 03 00 00 00 00", "")),
+                (
+                    bytes("00 03 76", ""),
+                    bytes("00 13 76 00 00 00 05 00 00 00 11 00 00 00 03 00 00 00 00", ""),
+                ),
                 (
                     bytes("00 28 4F 40 5F 40 00 00 00 00 00", "timestamp,actual_q,robot_mode"),
                     bytes("00 19 4F 01", "DOUBLE,VECTOR6D,INT32"),

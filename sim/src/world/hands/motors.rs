@@ -199,7 +199,9 @@ impl Motors {
             }
             // A coordinate without a leading joint moves its servos at the speed of a finger.
             let (servo, scale, moves) = match lead {
-                Some(j) => (Some((*j, &drives.servos[*j])), hand.actuation.rows[*j].terms[0].1.abs(), speeds[*j]),
+                Some(j) => {
+                    (Some((*j, &drives.servos[*j])), hand.actuation.rows[*j].terms[0].1.abs(), speeds[*j])
+                }
                 None => (None, 1.0, 0.0),
             };
             let fastest = servo.map_or(settings.turn_rad_s, |(_, s)| s.speed);
