@@ -7,7 +7,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Command, Output};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -162,6 +162,13 @@ fn file(camera: SocketAddr, port: &Path) -> String {
             \n[arm.settings.ur.heartbeat]\ntimeout_s = 0.8\n\n[arm.settings.ur.arrival]\nsettle_s = 20.0\n"
 }
 
+/// The program, which ends on its own: a run has its trials and its time limit.
+async fn graspd(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_graspd"));
+    command.args(arguments).env_remove("RUST_LOG").env_remove("GRASPD_SERVER");
+    tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_cell_that_names_only_addresses_clears_a_tray() {
     let folder = Folder::new();
@@ -174,19 +181,14 @@ async fn a_cell_that_names_only_addresses_clears_a_tray() {
     // What is told of the cell is what stands in its file: none of it is emulated, none of it is a mock.
     let path = folder.0.join("cell.toml");
     std::fs::write(&path, &text).unwrap();
-    let run = |arguments: &[&str]| {
-        let mut command = tokio::process::Command::new(env!("CARGO_BIN_EXE_graspd"));
-        command.args(arguments).env_remove("RUST_LOG").env_remove("GRASPD_SERVER");
-        command.stdin(Stdio::null()).kill_on_drop(true).output()
-    };
     let file = path.display().to_string();
-    let listed = run(&["device", "list", "--config", &file, "--json"]).await.unwrap();
+    let listed = graspd(&["device", "list", "--config", &file, "--json"]).await;
     let told: Value = serde_json::from_slice(&listed.stdout).unwrap();
     let kinds: Vec<&str> =
         told["devices"].as_array().unwrap().iter().map(|d| d["kind"].as_str().unwrap()).collect();
     assert_eq!(kinds, ["pico-flexx", "ur", "robotiq-2f"], "{told}");
 
-    let cleared = run(&["cell", "run", "--trials", "8", "--json", &file]).await.unwrap();
+    let cleared = graspd(&["cell", "run", "--trials", "8", "--json", &file]).await;
     let complaint = String::from_utf8(cleared.stderr).unwrap();
     let summary: Value =
         serde_json::from_slice(&cleared.stdout).unwrap_or_else(|e| panic!("{e}: {complaint}"));
