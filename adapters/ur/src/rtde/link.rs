@@ -238,6 +238,7 @@ fn unexpected(field: &str, found: &Package) -> RtdeError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
     use tokio::io::AsyncReadExt;
     use tokio::net::TcpListener;
 
@@ -286,6 +287,22 @@ mod tests {
         link.send(&inputs.encode(&[Value::Uint32(1), Value::Double(0.5)]).unwrap()).await.unwrap();
         assert_eq!(link.next().await.unwrap(), Package::Pause(true));
         controller.await.unwrap();
+    }
+
+    proptest! {
+        #[test]
+        fn any_data_is_survived_by_any_recipe(
+            kinds in prop::collection::vec(0usize..10, 0..8), id in 0u8..3,
+            bytes in prop::collection::vec(any::<u8>(), 0..120)
+        ) {
+            let fields = kinds.iter().map(|kind| ("f".to_owned(), Kind::WORDS[*kind].0)).collect();
+            let recipe = Recipe { id: 1, fields };
+            if let Ok(values) = recipe.decode(id, &bytes) {
+                prop_assert_eq!(id, 1);
+                prop_assert_eq!(bytes.len(), values.iter().map(|v| v.kind().size()).sum::<usize>());
+                prop_assert_eq!(&recipe.encode(&values).unwrap()[4..], &bytes[..]);
+            }
+        }
     }
 
     #[test]
