@@ -366,3 +366,40 @@ async fn a_witness_that_cannot_tell_changes_nothing() {
     let t = witnessed(&shared, true).await.tally;
     assert_eq!((t.trials, t.successes, t.felt, t.delivered, t.lost), (2, 2, 2, None, None));
 }
+
+#[tokio::test(start_paused = true)]
+async fn grasps_that_the_arm_cannot_reach_are_left_out_before_anything_moves() {
+    let folder = Folder::new("reach");
+    let shared = Shared::new(1);
+    // Grasps lie at x = 0, 0.05 and -0.05, best first.
+    shared.world().reach_x_m = Some(-0.01);
+    let mut config = config();
+    config.recording.folder = Some(folder.0.clone());
+    let (report, log) = run(&shared, &config).await;
+    assert_eq!((report.end.clone(), report.tally.trials, report.tally.successes), (End::Empty, 1, 1));
+    assert_eq!((report.tally.out_of_reach, log), (2, vec![]), "nothing is refused on the way");
+    let near = |x: f64| shared.world().moves.iter().any(|(_, at)| (at.translation.vector.x - x).abs() < 1e-6);
+    assert!(near(-0.05) && !near(0.0) && !near(0.05));
+    let attempts = read_attempts(&folder.0).unwrap().records;
+    let ranks: Vec<usize> = attempts[0].out_of_reach.iter().map(|out| out.rank).collect();
+    assert_eq!((ranks, attempts[0].chosen.as_ref().unwrap().rank), (vec![0, 1], 2));
+    assert_eq!(attempts[0].out_of_reach[0].to, "grasp");
+    let table = report.to_string();
+    assert!(table.contains("out of reach    2 grasps, left out before anything moved"), "{table}");
+    assert!(table.contains("to its grasp: arm: x: found far, expected near"), "{table}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_tray_beyond_reach_ends_the_run_and_says_so() {
+    let shared = Shared::new(2);
+    shared.world().reach_x_m = Some(-1.0);
+    let (report, _) = run(&shared, &config()).await;
+    let End::NoGrasp { why } = &report.end else { panic!("{:?}", report.end) };
+    assert!(
+        why.starts_with("none of 3 grasps is in reach; the best, to its grasp: arm: x: found far"),
+        "{why}"
+    );
+    assert_eq!((report.tally.trials, shared.world().in_tray), (0, 2));
+    // The hand has not come near the tray.
+    assert!(shared.world().moves.iter().all(|(_, at)| at.translation.vector.x > 0.2));
+}

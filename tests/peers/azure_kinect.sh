@@ -9,8 +9,11 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 venv=${1:-${CARGO_TARGET_DIR:-target}/peers-azure-kinect}
 if ! [ -x "$venv/bin/python" ] || ! "$venv/bin/python" -c 'import pyk4a, numpy' 2>/dev/null; then
+    rm -rf "$venv"
     python3 -m venv "$venv"
-    "$venv/bin/pip" install --quiet --disable-pip-version-check pyk4a-bundle==1.5.0 numpy==1.26.4
+    # Only wheels: building from source would want the manufacturer's headers.
+    timeout 180 "$venv/bin/pip" install --quiet --disable-pip-version-check --only-binary :all: --retries 2 --timeout 20 \
+        pyk4a-bundle==1.5.0 numpy==1.26.4 || exit "${PEER_IS_AWAY:-75}"
 fi
 cargo build --quiet -p graspd-adapters-azure-kinect --example peer
 peer=${CARGO_TARGET_DIR:-target}/debug/examples/peer

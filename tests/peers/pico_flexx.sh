@@ -9,10 +9,13 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 venv=${1:-${CARGO_TARGET_DIR:-target}/peers-pico-flexx}
 if ! [ -x "$venv/bin/python" ] || ! "$venv/bin/python" -c 'import rclpy, sensor_msgs, rosbridge_server_rs' 2>/dev/null; then
+    rm -rf "$venv"
     python3 -m venv "$venv"
-    "$venv/bin/pip" install --quiet --disable-pip-version-check rosbridge-server-rs==0.1.6 \
-        ros-kilted-rclpy==9.1.2 ros-kilted-std-msgs==5.5.1 ros-kilted-geometry-msgs==5.5.1 \
-        ros-kilted-sensor-msgs==5.5.1 ros-rmw-fastrtps-cpp==9.3.3
+    # Wheels, but for what is pure Python: without one for this Python and machine there is nothing to build from.
+    timeout 240 "$venv/bin/pip" install --quiet --disable-pip-version-check --only-binary :all: --no-binary empy \
+        --retries 2 --timeout 20 rosbridge-server-rs==0.1.6 ros-kilted-rclpy==9.1.2 ros-kilted-std-msgs==5.5.1 \
+        ros-kilted-geometry-msgs==5.5.1 ros-kilted-sensor-msgs==5.5.1 ros-rmw-fastrtps-cpp==9.3.3 \
+        || exit "${PEER_IS_AWAY:-75}"
 fi
 cargo build --quiet -p graspd-adapters-pico-flexx --example watch
 watch=$(readlink -f "${CARGO_TARGET_DIR:-target}/debug/examples/watch")

@@ -1,7 +1,5 @@
 //! What is wrong with a camera, and what to do about it.
 
-use std::time::Duration;
-
 use graspd_adapters_core::check::Finding;
 use graspd_adapters_core::{DepthFrame, DeviceError};
 
@@ -20,11 +18,7 @@ pub(crate) fn still(settings: &KinectSettings) -> Vec<Finding> {
 fn library(settings: &DeviceSettings) -> Vec<Finding> {
     let (sdk, place) = match sdk::load(settings.library.as_deref()) {
         Ok(loaded) => loaded,
-        Err(missing) => {
-            let tried: Vec<String> =
-                missing.tried.iter().map(|(place, why)| format!("{}: {why}", place.display())).collect();
-            return vec![Finding::bad("library libk4a", tried.join("; "), &missing.remedy)];
-        }
+        Err(missing) => return vec![Finding::of_missing(&missing)],
     };
     let mut found = vec![Finding::good("library libk4a", place.display().to_string())];
     found.push(match sdk.try_images() {
@@ -86,26 +80,6 @@ fn file(settings: &RecordingSettings) -> Vec<Finding> {
 
 /// A frame, or why none came.
 pub(crate) fn frame(outcome: &Result<DepthFrame, DeviceError>) -> Finding {
-    const SUBJECT: &str = "frame";
-    match outcome {
-        Ok(frame) => {
-            let valid = frame.depth_m.iter().filter(|d| **d > 0.0).count();
-            let share = 100.0 * valid as f64 / frame.depth_m.len().max(1) as f64;
-            let (width, height) = (frame.width, frame.height);
-            let about = format!("{width} x {height}, {share:.0} % with depth, {}", aged(frame.age));
-            if valid == 0 {
-                return Finding::bad(
-                    SUBJECT,
-                    about,
-                    "take the cover off, point it at something 0.5 to 3 m away",
-                );
-            }
-            Finding::good(SUBJECT, about)
-        }
-        Err(error) => Finding::bad(SUBJECT, error.to_string(), "see the findings above, then check again"),
-    }
-}
-
-fn aged(age: Duration) -> String {
-    format!("{:.0} ms old", age.as_secs_f64() * 1e3)
+    let blind = "take the cover off, point it at something 0.5 to 3 m away";
+    Finding::of_frame(outcome, blind, "see the findings above, then check again")
 }

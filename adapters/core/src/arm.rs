@@ -38,6 +38,33 @@ pub enum Reached {
     Contact,
 }
 
+/// One motion of a way that is thought of, not yet gone.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Leg {
+    /// Where it ends, world frame.
+    pub world_from_flange: Isometry3<f64>,
+    /// True for a straight line ([`Arm::move_linear`], [`Arm::move_until_contact`]), false for any path ([`Arm::move_to`]).
+    pub straight: bool,
+    /// How fast it will be asked for.
+    pub limits: Limits,
+}
+
+/// What an arm says of a way before it goes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Reach {
+    /// It cannot tell: it does not know its kinematics, or not where it stands.
+    Unknown,
+    /// It would refuse none of these motions.
+    Reaches,
+    /// It would refuse one.
+    Beyond {
+        /// Which one, counted from 0.
+        leg: usize,
+        /// Why: field, what was found, what is expected.
+        why: String,
+    },
+}
+
 /// Whether the arm can be moved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ArmMode {
@@ -67,6 +94,14 @@ pub struct ArmState {
 pub trait Arm: Send + Sync + std::fmt::Debug {
     /// What it is. Known without asking the device again.
     fn info(&self) -> ArmInfo;
+
+    /// Whether it could go a way from where it stands, one motion after the other. Asks nothing of the device and moves
+    /// nothing; what may stand in the way is not looked at. An arm that knows nothing of its kinematics says
+    /// [`Reach::Unknown`], as this default does.
+    fn reaches(&self, way: &[Leg]) -> Reach {
+        let _ = way;
+        Reach::Unknown
+    }
 
     /// What it reports now.
     ///

@@ -29,8 +29,10 @@ pub mod library;
 pub mod stamps;
 pub mod streaming;
 pub mod task;
+#[cfg(feature = "testing")]
+pub mod testing;
 
-pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Limits, Reached};
+pub use arm::{Arm, ArmInfo, ArmMode, ArmState, Leg, Limits, Reach, Reached};
 pub use async_trait::async_trait;
 pub use camera::{CameraInfo, DepthCamera, DepthFrame, Lens};
 pub use error::{DeviceError, FaultKind};

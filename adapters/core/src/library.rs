@@ -1,6 +1,8 @@
-//! Where a vendor's library is looked for at run time, and what is said when it is not there.
+//! Where a vendor's library is looked for at run time, what is said when it is not there, and how its functions are found
+//! by their names.
 //!
-//! Nothing is loaded here: that is the device crate's business, in its one file of foreign functions.
+//! Nothing unsafe is done here: a library is loaded by the device crate, in its one place of foreign functions, where
+//! [`foreign_functions!`](crate::foreign_functions) is expanded, too.
 
 use std::ffi::OsString;
 use std::fmt;
@@ -49,6 +51,57 @@ pub fn places(
     bare.chain(inside).collect()
 }
 
+/// Loads the library from the first place where it is what it should be. `open` says why a file is not. Blocking.
+///
+/// # Errors
+/// [`LibraryMissing`] with each place and its reason.
+pub fn load<L>(
+    library: &'static str,
+    remedy: &str,
+    places: Vec<PathBuf>,
+    mut open: impl FnMut(&Path) -> Result<L, String>,
+) -> Result<(L, PathBuf), LibraryMissing> {
+    let mut tried = Vec::new();
+    for place in places {
+        match open(&place) {
+            Ok(loaded) => return Ok((loaded, place)),
+            Err(why) => tried.push((place, why)),
+        }
+    }
+    Err(LibraryMissing { library, tried, remedy: remedy.to_owned() })
+}
+
+/// Makes `Functions`, the functions of a vendor's library with their names and types, and `Functions::find`, which looks
+/// each of them up in a `libloading::Library`. The first words say what a library is not that lacks one of them.
+///
+/// Expanding it is a promise: each type is that of the function in the vendor's headers, and `Functions` is kept beside
+/// the library that it points into. The crate that expands it depends on `libloading` and allows unsafe code there.
+#[macro_export]
+macro_rules! foreign_functions {
+    ($without:literal; $($name:ident: $symbol:literal, fn($($argument:ty),*) $(-> $result:ty)?;)*) => {
+        /// The functions, by name.
+        struct Functions {
+            $($name: unsafe extern "C" fn($($argument),*) $(-> $result)?,)*
+        }
+
+        impl Functions {
+            /// Looks every function up.
+            fn find(library: &libloading::Library) -> Result<Self, String> {
+                Ok(Self {
+                    $($name: {
+                        // SAFETY: the type is that of the function in the headers, and the pointer is only kept beside the
+                        // library that it points into: who expands the macro promises both.
+                        let found = unsafe {
+                            library.get::<unsafe extern "C" fn($($argument),*) $(-> $result)?>($symbol)
+                        };
+                        *found.map_err(|error| format!("{}: {error}", $without))?
+                    },)*
+                })
+            }
+        }
+    };
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -70,6 +123,15 @@ mod tests {
         let all = places(None, Some(OsString::new()), &NAMES, &["/usr/lib/x"]);
         let expected = ["libx.so.1.4", "libx.so", "/usr/lib/x/libx.so.1.4", "/usr/lib/x/libx.so"];
         assert_eq!(all, expected.map(PathBuf::from));
+    }
+
+    #[test]
+    fn the_first_place_that_has_the_library_is_taken() {
+        let places: Vec<PathBuf> = ["/a", "/b", "/c"].map(PathBuf::from).into();
+        let open = |path: &Path| if path.ends_with("a") { Err("too old".to_owned()) } else { Ok(3) };
+        assert_eq!(load("libx", "install it", places.clone(), open), Ok((3, "/b".into())));
+        let error = load("libx", "install it", places, |_| Err::<(), _>("none".to_owned())).unwrap_err();
+        assert_eq!(error.to_string(), "libx could not be loaded; /a: none; /b: none; /c: none; install it");
     }
 
     #[test]

@@ -6,8 +6,8 @@
 //! silence, hang-ups, and the device's own.
 
 pub mod dynamixel;
+pub mod faults;
 pub mod line;
 pub mod requests;
 pub mod robotiq;
 pub mod ur;
-pub mod wire_faults;

@@ -8,10 +8,9 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use crate::dynamixel::BusEmulator;
-use crate::line::LineFaults;
+use crate::faults::{Garble, LinkFaults, Misbehaviour};
 use crate::robotiq::Gripper;
 use crate::ur::UrEmulator;
-use crate::wire_faults::{Garble, Misbehaviour, WireFaults};
 
 /// Why a request is none.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -215,11 +214,9 @@ pub async fn carry_out(mut requests: Vec<FaultRequest>, befall: impl Fn(&FaultRe
 }
 
 /// A fault of a link of an arm begins or ends.
-fn on_wire(faults: &WireFaults, request: &FaultRequest, begins: bool) {
-    let mut now = faults.current();
+fn on_wire(faults: &LinkFaults, request: &FaultRequest, begins: bool) {
     let usual = Misbehaviour::default();
-    match request.name {
-        "cut" => return faults.cut(),
+    faults.change(|now| match request.name {
         "mute" => now.mute = begins,
         "refuse" => now.refuse = begins,
         "delay" if begins => now.delay = Duration::from_secs_f64(request.value),
@@ -230,19 +227,21 @@ fn on_wire(faults: &WireFaults, request: &FaultRequest, begins: bool) {
         "pieces" => now.pieces = usual.pieces,
         "garble" => now.garble = Some(Garble { packets: request.whole(), at: 9, mask: 0x55 }),
         _ => {}
+    });
+    if request.name == "cut" {
+        faults.cut();
     }
-    faults.set(now);
 }
 
 /// A fault of a serial line begins or ends.
-fn on_line(faults: &LineFaults, request: &FaultRequest, begins: bool) {
+fn on_line(faults: &LinkFaults, request: &FaultRequest, begins: bool) {
     let time = Duration::from_secs_f64(if begins { request.value } else { 0.0 });
     match request.name {
         "garble" => faults.garble(request.whole()),
-        "cut" => faults.cut(request.whole()),
-        "mute" => faults.mute(request.whole()),
-        "noise" => faults.noise(request.whole()),
-        "slow" => faults.slow(time),
+        "cut" => faults.change(|now| now.halve = request.whole()),
+        "mute" => faults.change(|now| now.lose = request.whole()),
+        "noise" => faults.change(|now| now.noise = request.whole()),
+        "slow" => faults.change(|now| now.delay = time),
         "hang-up" => faults.hang_up(time),
         _ => {}
     }
@@ -269,7 +268,7 @@ pub fn befall_ur(emulator: &UrEmulator, request: &FaultRequest, begins: bool) {
 }
 
 /// Does a request to a gripper, whose lines are these.
-pub fn befall_gripper(gripper: &Gripper, lines: &[LineFaults], request: &FaultRequest, begins: bool) {
+pub fn befall_gripper(gripper: &Gripper, lines: &[LinkFaults], request: &FaultRequest, begins: bool) {
     match request.name {
         "fault" => gripper.fault(if begins { request.whole() as u8 } else { 0 }),
         "power-cycle" => gripper.power_cycle(),
@@ -343,7 +342,7 @@ mod tests {
 
     #[test]
     fn what_begins_on_a_wire_ends_there() {
-        let faults = WireFaults::default();
+        let faults = LinkFaults::default();
         for text in ["mute@1+1", "delay=0.2", "pieces=7", "refuse"] {
             let request = ur(text).unwrap();
             on_wire(&faults, &request, true);

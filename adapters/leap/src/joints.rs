@@ -124,6 +124,34 @@ mod tests {
     }
 
     #[test]
+    fn motors_stand_in_the_published_order_of_the_simulation() {
+        // Of the hand's published simulation: which motor turns each of its joints, which follow the URDF's tree.
+        let published = [1, 0, 2, 3, 12, 13, 14, 15, 5, 4, 6, 7, 9, 8, 10, 11];
+        let back = [1, 0, 2, 3, 9, 8, 10, 11, 13, 12, 14, 15, 4, 5, 6, 7];
+        for (simulated, motor) in published.into_iter().enumerate() {
+            assert_eq!(back[usize::from(motor)], simulated);
+        }
+        // Ours keeps the order within each finger, the thumb last.
+        let ids: Vec<u8> = leap().iter().map(|j| j.id).collect();
+        let fingers =
+            |ids: &[u8]| ids.chunks(4).map(<[u8]>::to_vec).collect::<std::collections::BTreeSet<_>>();
+        assert_eq!(fingers(&ids), fingers(&published));
+        let of = |id: u8| leap().into_iter().find(|j| j.id == id).unwrap();
+        for (id, lower, upper) in [
+            (0, -1.047, 1.047),
+            (5, -0.314, 2.23),
+            (10, -0.506, 1.885),
+            (3, -0.366, 2.042),
+            (12, -0.349, 2.094),
+            (13, -0.47, 2.443),
+            (14, -1.2, 1.9),
+            (15, -1.34, 1.88),
+        ] {
+            assert_eq!((of(id).lower_rad, of(id).upper_rad, of(id).zero_pulse), (lower, upper, 2048.0));
+        }
+    }
+
+    #[test]
     fn angles_are_counted_from_the_middle_of_a_turn() {
         let joint = &leap()[0];
         assert_eq!((joint.id, joint.pulses(0.0), joint.pulses(TAU / 4.0)), (1, 2048, 3072));

@@ -5,8 +5,11 @@ use std::f64::consts::PI;
 use std::time::{Duration, Instant};
 
 use graspd_adapters_core::{CloseCommand, DeviceError, FaultKind, GripCommand, Hand};
+use graspd_adapters_dynamixel::Packet;
 use graspd_adapters_emulators::dynamixel::{BusConfig, BusEmulator, KinematicPlant, Obstacles};
+use graspd_adapters_emulators::line::{LineDevice, Reply, SerialLine};
 use graspd_adapters_leap::{LeapHand, LeapSettings};
+use proptest::prelude::*;
 
 const PATIENT: Duration = Duration::from_secs(20);
 
@@ -164,13 +167,13 @@ async fn disturbances_of_the_line_are_overcome() {
         let faults = b.bus.faults();
         faults.garble(1);
         b.hand.state(PATIENT).await.unwrap();
-        faults.cut(1);
+        faults.change(|now| now.halve = 1);
         b.hand.state(PATIENT).await.unwrap();
-        faults.mute(2);
+        faults.change(|now| now.lose = 2);
         b.hand.state(PATIENT).await.unwrap();
-        faults.noise(1);
+        faults.change(|now| now.noise = 1);
         b.hand.state(PATIENT).await.unwrap();
-        faults.slow(Duration::from_millis(10));
+        faults.change(|now| now.delay = Duration::from_millis(10));
         b.hand.state(PATIENT).await.unwrap();
         faults.clear();
         b.hand.grip(&grip(0.1), PATIENT).await.unwrap();
@@ -190,7 +193,7 @@ async fn a_line_that_stays_disturbed_is_an_error_that_says_so() {
         "{text}"
     );
     b.hand.state(PATIENT).await.unwrap();
-    b.bus.faults().slow(Duration::from_millis(400));
+    b.bus.faults().change(|now| now.delay = Duration::from_millis(400));
     let error = b.hand.state(PATIENT).await.unwrap_err();
     assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
     b.bus.faults().clear();
@@ -442,11 +445,50 @@ async fn an_answer_that_comes_late_is_not_taken_for_another() {
     let mut bus = Bus::open(&path, 4_000_000, Duration::from_millis(200), 1).await.unwrap();
     assert_eq!(bus.read(3, table::PRESENT_TEMPERATURE).await.unwrap().data, [30]);
     for _ in 0..3 {
-        emulator.faults().slow(Duration::from_millis(300));
+        emulator.faults().change(|now| now.delay = Duration::from_millis(300));
         let error = bus.read(3, table::PRESENT_TEMPERATURE).await.unwrap_err();
         assert!(matches!(error, BusError::NoReply { .. }), "{error}");
         emulator.faults().clear();
         // The temperature comes while this is asked: one byte as well.
         assert_eq!(bus.read(3, table::TORQUE_ENABLE).await.unwrap().data, [0]);
+    }
+}
+
+/// Something at the end of the line that answers whatever it likes.
+struct Babble(Vec<u8>);
+
+impl LineDevice for Babble {
+    fn receive(&mut self, _: &[u8], _: Instant) -> Vec<Reply> {
+        vec![Reply { bytes: self.0.clone(), after: Duration::ZERO }]
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn whatever_answers_on_the_line_is_an_error_in_time(
+        bytes in proptest::collection::vec(prop_oneof![any::<u8>(), Just(0xFF), Just(0xFD)], 0..80),
+        whole in any::<bool>(), id in 0u8..16, params in proptest::collection::vec(any::<u8>(), 0..20),
+    ) {
+        let mut answer = bytes;
+        if whole {
+            // A packet that is one, but no answer of a whole hand.
+            let packet = Packet { id, instruction: 0x55, params };
+            answer.extend(packet.encode().unwrap());
+        }
+        let line = SerialLine::start(Babble(answer), None).unwrap();
+        let settings = LeapSettings {
+            port: line.path().display().to_string(),
+            reply_timeout_ms: 2,
+            attempts: 1,
+            ..LeapSettings::default()
+        };
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        runtime.block_on(async {
+            let hand = LeapHand::new(settings).unwrap();
+            let error = hand.state(PATIENT).await.unwrap_err();
+            let told = matches!(error, DeviceError::Disconnected { .. } | DeviceError::Protocol { .. });
+            assert!(told, "{error}");
+        });
     }
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use graspd_adapters_core::check::SettingsError;
-use graspd_adapters_core::{Arm, ArmInfo, ArmState, DeviceError, Limits, Reached};
+use graspd_adapters_core::{Arm, ArmInfo, ArmState, DeviceError, Leg, Limits, Reach, Reached};
 use graspd_sim::world::{HandId, WristForce};
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
@@ -172,6 +172,15 @@ impl Arm for MockArm {
             reach_m: self.settings.reach_m,
             replaces_motion: self.settings.replaces_motion,
         }
+    }
+
+    fn reaches(&self, way: &[Leg]) -> Reach {
+        // A sphere is convex: a line between poses in reach is in reach.
+        let beyond = |(leg, at): (usize, &Leg)| {
+            let error = self.check(&at.world_from_flange, at.limits).err()?;
+            Some(Reach::Beyond { leg, why: error.to_string() })
+        };
+        way.iter().enumerate().find_map(beyond).unwrap_or(Reach::Reaches)
     }
 
     async fn state(&self, timeout: Duration) -> Result<ArmState, DeviceError> {

@@ -5,7 +5,8 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};
 
 use graspd_adapters_core::{CloseCommand, DeviceError, FaultKind, GripCommand, Hand, HandState};
-use graspd_adapters_emulators::line::{LineFaults, SerialLine};
+use graspd_adapters_emulators::faults::LinkFaults;
+use graspd_adapters_emulators::line::SerialLine;
 use graspd_adapters_emulators::robotiq as emulator;
 use graspd_adapters_emulators::robotiq::{Gripper, GripperConfig, KinematicPlant, Objects};
 use graspd_adapters_robotiq::settings::LinkSettings;
@@ -37,7 +38,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn faults(&self) -> &LineFaults {
+    fn faults(&self) -> &LinkFaults {
         match &self.server {
             Server::Line(line) => line.faults(),
             Server::Tcp(server) => server.faults(),
@@ -231,18 +232,18 @@ async fn disturbances_of_the_line_are_overcome() {
     for wire in [Wire::Rtu, Wire::ModbusTcp, Wire::RtuOverTcp, Wire::Socket] {
         let b = ready(wire).await;
         let faults = b.faults();
-        faults.cut(1);
+        faults.change(|now| now.halve = 1);
         b.hand.state(PATIENT).await.unwrap();
-        faults.mute(2);
+        faults.change(|now| now.lose = 2);
         b.hand.state(PATIENT).await.unwrap();
         if matches!(wire, Wire::Rtu | Wire::RtuOverTcp) {
             // A check protects against these.
             faults.garble(2);
             b.hand.state(PATIENT).await.unwrap();
-            faults.noise(1);
+            faults.change(|now| now.noise = 1);
             b.hand.state(PATIENT).await.unwrap();
         }
-        faults.slow(Duration::from_millis(30));
+        faults.change(|now| now.delay = Duration::from_millis(30));
         b.hand.state(PATIENT).await.unwrap();
         assert_near(&b.hand.grip(&grip(0.015), PATIENT).await.unwrap(), 0.015);
     }
@@ -257,7 +258,7 @@ async fn a_line_that_stays_disturbed_is_an_error_that_says_so() {
     assert!(error.to_string().contains("a garbled line: grounding, baud rate, two masters?"), "{error}");
     b.faults().clear();
     b.hand.state(PATIENT).await.unwrap();
-    b.faults().mute(1000);
+    b.faults().change(|now| now.lose = 1000);
     let error = b.hand.state(PATIENT).await.unwrap_err();
     assert!(error.to_string().contains("power, cable, address 9, or another master"), "{error}");
     let short = b.hand.state(Duration::from_millis(60)).await.unwrap_err();
@@ -270,7 +271,7 @@ async fn a_line_that_stays_disturbed_is_an_error_that_says_so() {
 async fn what_comes_late_is_not_taken_for_the_next_answer() {
     let b = bench_with(Model::TwoFinger85, Wire::Rtu, |s| s.attempts = 1).await;
     b.hand.clear_fault(PATIENT).await.unwrap();
-    b.faults().slow(Duration::from_millis(250));
+    b.faults().change(|now| now.delay = Duration::from_millis(250));
     let late = b.hand.state(PATIENT).await.unwrap_err();
     assert!(late.is_transient(), "{late}");
     b.faults().clear();

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
 /// Longest line that is read, bytes.
@@ -88,7 +88,7 @@ impl Dashboard {
         Ok(answer)
     }
 
-    async fn line(&self, stream: &mut TcpStream) -> Result<String, DashboardError> {
+    async fn line(&self, stream: &mut (impl AsyncRead + Unpin)) -> Result<String, DashboardError> {
         let link = |what: String| DashboardError::Link(format!("{}:{}: {what}", self.host, self.port));
         let mut line = Vec::new();
         // Lines are short, and nothing follows one before the next command: read what comes, up to its end.
@@ -228,5 +228,34 @@ impl Dashboard {
         }
         let (command, expected) = ("unlock protective stop".into(), "Protective stop releasing".into());
         Err(DashboardError::Unexpected { command, found: answer, expected })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn line(mut bytes: &[u8]) -> Result<String, DashboardError> {
+        let dashboard = Dashboard::new("arm", 29999, Duration::from_secs(1));
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        runtime.block_on(dashboard.line(&mut bytes))
+    }
+
+    #[test]
+    fn a_line_ends_where_it_ends() {
+        assert_eq!(line(b"Robotmode: RUNNING\r\nmore").unwrap(), "Robotmode: RUNNING");
+        let error = line(b"Robotmode: RUN").unwrap_err().to_string();
+        assert_eq!(error, "dashboard: arm:29999: closed in the middle of a line");
+        let error = line(&[b'x'; 2 * LONGEST]).unwrap_err().to_string();
+        assert_eq!(error, format!("dashboard: arm:29999: a line of more than {LONGEST} bytes"));
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_survived(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+            let said = line(&bytes);
+            prop_assert_eq!(said.is_ok(), bytes.contains(&b'\n'));
+        }
     }
 }

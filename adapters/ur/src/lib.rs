@@ -13,6 +13,7 @@ mod events;
 pub mod kinematics;
 mod plan;
 mod primary;
+mod program;
 pub mod rtde;
 mod script;
 mod servo;

@@ -116,14 +116,14 @@ pub(crate) fn joint_pace(
     Ok(Pace { speed: rate * far, acceleration: gain * far, time_s: 0.0 })
 }
 
-/// The pace of a straight line.
-pub(crate) fn line_pace(
+/// A straight line: the posture that it ends in, and its pace.
+pub(crate) fn line_motion(
     arm: &Kinematics,
     world_from_base: &Isometry3<f64>,
     from: (&Isometry3<f64>, &Joints),
     to: &Isometry3<f64>,
     allowed: Allowed<'_>,
-) -> Result<Pace, Refusal> {
+) -> Result<(Joints, Pace), Refusal> {
     let limits = allowed.limits;
     let (start, joints) = from;
     let way = to.translation.vector - start.translation.vector;
@@ -162,14 +162,15 @@ pub(crate) fn line_pace(
         return refuse("world_from_flange", found, format!("at least {:.0} %", 100.0 * SLOWEST));
     }
     if rate * angle <= rate * length * limits.turn_rad_s / allowed.speed_m_s && length > 1e-3 {
-        return Ok(Pace { speed: rate * length, acceleration: allowed.acceleration_m_s2, time_s: 0.0 });
+        let pace = Pace { speed: rate * length, acceleration: allowed.acceleration_m_s2, time_s: 0.0 };
+        return Ok((at, pace));
     }
     // Mostly a turn, which the controller does not pace by metres: told as time, for a quarter of it speeding up and a
     // quarter braking, within the same bounds.
     let gain = (allowed.acceleration_m_s2 / length.max(1e-9))
         .min(limits.turn_rad_s * allowed.acceleration_m_s2 / allowed.speed_m_s / angle.max(1e-9));
     let time_s = (1.0 / (0.75 * rate)).max((4.0 / 0.75 / gain).sqrt()).max(0.05);
-    Ok(Pace { speed: allowed.speed_m_s, acceleration: allowed.acceleration_m_s2, time_s })
+    Ok((at, Pace { speed: allowed.speed_m_s, acceleration: allowed.acceleration_m_s2, time_s }))
 }
 
 /// A path may begin outside the workspace, but not leave it, nor end outside.
@@ -240,7 +241,8 @@ mod tests {
         let (arm, limits) = (Kinematics::new(Model::Ur5e), everywhere());
         let start = arm.forward(&HOME);
         let line = |to: &Isometry3<f64>| {
-            line_pace(&arm, &Isometry3::identity(), (&start, &HOME), to, allowed(&limits))
+            line_motion(&arm, &Isometry3::identity(), (&start, &HOME), to, allowed(&limits))
+                .map(|(_, pace)| pace)
         };
         let mut down = start;
         down.translation.vector.z -= 0.1;
@@ -294,7 +296,7 @@ mod tests {
         let mut down = start;
         down.translation.vector.z -= 0.1;
         let go = |limits: &UrLimits| {
-            line_pace(&arm, &Isometry3::identity(), (&start, &HOME), &down, allowed(limits))
+            line_motion(&arm, &Isometry3::identity(), (&start, &HOME), &down, allowed(limits))
         };
         assert!(go(&boxed(z - 0.2, z + 0.1)).is_ok());
         assert!(go(&boxed(z - 0.2, z - 0.05)).is_ok());

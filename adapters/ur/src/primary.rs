@@ -130,6 +130,18 @@ mod tests {
         }
         assert_eq!(found, [PrimaryMessage::Exception { line: 3, text: "bad".into() }]);
         assert_eq!(found[0].to_string(), "script line 3: bad");
+        let packet = |kind: u8, data: &[u8]| {
+            let size = u32::try_from(15 + data.len()).unwrap();
+            [&size.to_be_bytes()[..], &[20], &[0; 8], &[0, kind], data].concat()
+        };
+        // Code, argument, length of the title, title, text.
+        let key = [&[0, 0, 0, 0, 0, 0, 0, 0, 19][..], b"PROGRAM_XXX_STARTEDgraspd_control"].concat();
+        // Code, argument, level, type of data, data, text.
+        let error =
+            [&[0, 0, 0, 210, 0, 0, 0, 4, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0][..], b"read-only"].concat();
+        let found = reader.push(&[packet(7, &key), packet(6, &error), packet(0, b"hi")].concat()).unwrap();
+        let said: Vec<String> = found.iter().map(ToString::to_string).collect();
+        assert_eq!(said, ["PROGRAM_XXX_STARTED graspd_control", "C210A4 read-only", "hi"]);
         let error = PrimaryReader::default().push(&[0xff, 0xff, 0xff, 0xff, 0]).unwrap_err();
         assert!(error.to_string().contains("found -1, expected 5 to"), "{error}");
     }

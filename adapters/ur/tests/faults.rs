@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use bench::{Bench, LIMITS, LONG, SOON, apart, bench, bench_with, settings};
 use graspd_adapters_core::{Arm, ArmMode, DeviceError, FaultKind};
+use graspd_adapters_emulators::faults::{Garble, Misbehaviour};
 use graspd_adapters_emulators::ur::{Safety, UrSettings};
-use graspd_adapters_emulators::wire_faults::{Garble, Misbehaviour};
 use graspd_adapters_ur::{Dashboard, DashboardError, SafetyStatus, UrEvent};
 use nalgebra::Isometry3;
 use tokio::task::JoinHandle;

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bench::{LIMITS, LONG, SOON, apart, bench, bench_with, settings};
-use graspd_adapters_core::{Arm, ArmMode, DeviceError, FaultKind, Limits, Reached};
+use graspd_adapters_core::{Arm, ArmMode, DeviceError, FaultKind, Leg, Limits, Reach, Reached};
 use graspd_adapters_emulators::ur::{JointServo, Plant, PlantState, PlantTarget, UrPorts, UrSettings, Wall};
 use graspd_adapters_ur::ServoSettings;
 use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
@@ -215,7 +215,6 @@ async fn what_may_not_be_is_refused_before_anything_moves() {
         assert!(matches!(&error, DeviceError::OutOfRange { field: f, .. } if f == field), "{error}");
     }
     assert!(!bench.emulator.snapshot().program_running && !bench.moves());
-    assert!(arm.reaches(&near) && !arm.reaches(&far) && !arm.reaches(&below));
     let unarmed = bench_with(settings(), None, |config| config.armed = false).await;
     let error = unarmed.arm.move_to(&near, LIMITS, SOON).await.unwrap_err();
     assert!(matches!(&error, DeviceError::OutOfRange { field, .. } if field == "armed"), "{error}");
@@ -254,6 +253,11 @@ async fn a_stream_is_followed_stopped_when_it_dries_up_and_refused_when_too_fast
     for _ in 0..60 {
         clock.tick().await;
         goal.translation.vector.z -= 0.001;
+        stream.send_pose(&goal).unwrap();
+    }
+    // It is followed a little behind: whoever wants to get there stays there.
+    for _ in 0..60 {
+        clock.tick().await;
         stream.send_pose(&goal).unwrap();
     }
     bench.until("follows", |b| apart(&b.flange(), &goal) < 0.005).await;
@@ -425,4 +429,74 @@ async fn who_is_not_armed_moves_nothing_by_any_call() {
     let snapshot = bench.emulator.snapshot();
     assert_eq!(snapshot.safety, graspd_adapters_emulators::ur::Safety::ProtectiveStop);
     assert!(snapshot.joints == joints && !snapshot.program_running);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_out_of_reach_is_known_before_anything_moves_and_then_refused() {
+    let bench = bench().await;
+    let arm = &bench.arm;
+    arm.state(SOON).await.unwrap();
+    let leg = |straight, world_from_flange| Leg { world_from_flange, straight, limits: LIMITS };
+    let above = bench.beside(0.1, 0.1, 0.05);
+    let lower = |by: f64| {
+        let mut pose = above;
+        pose.translation.vector.z -= by;
+        pose
+    };
+    let mut turned = above;
+    turned.rotation *= UnitQuaternion::from_scaled_axis(Vector3::z() * 0.8);
+    let mut outwards = above;
+    outwards.translation.vector -= Vector3::new(0.45, 0.0, 0.0);
+    let mut nan = above;
+    nan.translation.vector.y = f64::NAN;
+    let fast = Leg { limits: Limits { speed_m_s: 2.0, ..LIMITS }, ..leg(true, lower(0.1)) };
+    let ways = [
+        (vec![leg(false, above), leg(true, lower(0.1)), leg(true, lower(0.2))], None),
+        (vec![leg(false, turned), leg(true, above)], None),
+        (vec![leg(false, above), leg(true, outwards)], Some((1, "world_from_flange"))),
+        (vec![leg(false, above), leg(true, lower(0.1)), leg(true, lower(0.7))], Some((2, "workspace"))),
+        (vec![leg(false, bench.beside(-3.0, 0.0, 0.0))], Some((0, "world_from_flange"))),
+        (vec![leg(false, nan)], Some((0, "world_from_flange"))),
+        (vec![leg(false, above), fast], Some((1, "speed_m_s"))),
+        (vec![], None),
+    ];
+    let home = bench.emulator.snapshot().joints;
+    for (way, expected) in ways {
+        let said = arm.reaches(&way);
+        match (&said, expected) {
+            (Reach::Reaches, None) => {}
+            (Reach::Beyond { leg, why }, Some((at, field))) => {
+                assert!(*leg == at && why.contains(field), "{said:?} {expected:?}");
+            }
+            _ => panic!("{said:?}, expected {expected:?}"),
+        }
+        // The word is kept: what was said to be in reach is reached, and what was not is refused by the motion itself.
+        for (i, leg) in way.iter().enumerate() {
+            let (to, limits) = (&leg.world_from_flange, leg.limits);
+            let gone = if leg.straight {
+                arm.move_linear(to, limits, LONG).await
+            } else {
+                arm.move_to(to, limits, LONG).await
+            };
+            match expected {
+                Some((at, field)) if at == i => {
+                    let error = gone.unwrap_err();
+                    assert!(
+                        matches!(&error, DeviceError::OutOfRange { field: f, .. } if f == field),
+                        "{error}"
+                    );
+                }
+                _ => gone.unwrap(),
+            }
+        }
+        arm.move_joints(&home, LIMITS, LONG).await.unwrap();
+    }
+    // Who does not know where it stands cannot tell.
+    let bench::Bench { emulator, arm } = bench;
+    drop(emulator);
+    let until = Instant::now() + SOON;
+    while arm.reaches(&[leg(false, above)]) != Reach::Unknown {
+        assert!(Instant::now() < until);
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
 }

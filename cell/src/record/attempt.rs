@@ -86,6 +86,18 @@ pub struct Chosen {
     pub grasp: PlannedGrasp,
 }
 
+/// A grasp that was left out because the arm does not reach it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OutOfReach {
+    /// Place in the ranking, 0 for the best.
+    pub rank: usize,
+    /// Which motion the arm would refuse: `above`, `pregrasp` or `grasp`.
+    pub to: String,
+    /// The arm's words.
+    pub why: String,
+}
+
 /// One attempt: from the look into the tray to the open hand.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -98,6 +110,9 @@ pub struct AttemptRecord {
     pub question: Option<Question>,
     /// What it answered.
     pub answer: Option<AnswerRecord>,
+    /// Grasps that were left out before anything moved.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub out_of_reach: Vec<OutOfReach>,
     /// The grasp that was executed, or was going to be.
     pub chosen: Option<Chosen>,
     /// Every step.

@@ -31,6 +31,12 @@ impl fmt::Display for Report {
         if let Some(plan) = t.median_plan_s() {
             writeln!(f, "planning        {:.0} ms (median of {})", 1000.0 * plan, t.plan_s.len())?;
         }
+        if t.out_of_reach > 0 {
+            writeln!(f, "out of reach    {} grasps, left out before anything moved", t.out_of_reach)?;
+            if let Some(last) = &t.last_out_of_reach {
+                writeln!(f, "  the last      {last}")?;
+            }
+        }
         writeln!(f, "trouble met     {}", t.troubles)?;
         let holding = match self.holding {
             Holding::Nothing => "nothing",

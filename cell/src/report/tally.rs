@@ -44,6 +44,12 @@ pub struct Tally {
     pub plan_s: Vec<f64>,
     /// Trouble met and mended.
     pub troubles: u32,
+    /// Grasps that were left out before anything moved, because the arm does not reach them.
+    #[serde(default)]
+    pub out_of_reach: u32,
+    /// Why the last of them was: the motion that the arm would refuse, and its words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_out_of_reach: Option<String>,
     /// The last failure.
     pub last_failure: Option<String>,
 }
@@ -55,6 +61,10 @@ impl Tally {
         self.trials += u32::from(record.trial);
         self.felt += u32::from(record.felt);
         self.troubles += record.steps.iter().map(|s| s.troubles.len() as u32).sum::<u32>();
+        self.out_of_reach += u32::try_from(record.out_of_reach.len()).unwrap_or(u32::MAX);
+        if let Some(last) = record.out_of_reach.last() {
+            self.last_out_of_reach = Some(format!("to its {}: {}", last.to, last.why));
+        }
         self.plan_s.extend(record.answer.iter().map(|a| a.plan_s));
         if let Some(seen) = &record.witnessed {
             *self.delivered.get_or_insert(0) += seen.delivered;

@@ -5,7 +5,7 @@ use nalgebra::Isometry3;
 use crate::frame::Frame;
 use crate::outcome::{FailureClass, Outcome};
 use crate::plan::{Answer, PlannedGrasp, Question};
-use crate::record::{AnswerRecord, AttemptRecord, Chosen, StepRecord, frame_stem};
+use crate::record::{AnswerRecord, AttemptRecord, Chosen, OutOfReach, StepRecord, frame_stem};
 use crate::witness::Witnessed;
 
 /// A grasp this near to one that failed would fail again: metres, radians.
@@ -18,6 +18,8 @@ pub(super) struct Attempt {
     pub(super) frame: Option<Frame>,
     pub(super) question: Option<Question>,
     pub(super) answer: Option<Answer>,
+    /// Grasps that are not tried, and why.
+    pub(super) out_of_reach: Vec<OutOfReach>,
     /// Ranks in the order in which they are tried.
     order: Vec<usize>,
     /// Place in `order`.
@@ -48,6 +50,7 @@ impl Attempt {
             frame: None,
             question: None,
             answer: None,
+            out_of_reach: Vec::new(),
             order: Vec::new(),
             at: 0,
             steps: Vec::new(),
@@ -62,8 +65,8 @@ impl Attempt {
         }
     }
 
-    /// Takes an answer; grasps near to those that failed come last.
-    pub(super) fn take(&mut self, answer: Answer, failed: &[Isometry3<f64>]) {
+    /// Takes an answer; grasps out of reach are left out, grasps near to those that failed come last.
+    pub(super) fn take(&mut self, answer: Answer, out_of_reach: Vec<OutOfReach>, failed: &[Isometry3<f64>]) {
         let near = |grasp: &PlannedGrasp| {
             let pose = grasp.world_from_hand.isometry();
             failed.iter().any(|f| {
@@ -71,10 +74,12 @@ impl Attempt {
                 between.translation.vector.norm() < SAME_GRASP.0 && between.rotation.angle() < SAME_GRASP.1
             })
         };
-        self.order = (0..answer.grasps.len()).collect();
+        let left_out = |rank: &usize| out_of_reach.iter().any(|out| out.rank == *rank);
+        self.order = (0..answer.grasps.len()).filter(|rank| !left_out(rank)).collect();
         self.order.sort_by_key(|&rank| near(&answer.grasps[rank]));
         self.at = 0;
         self.answer = Some(answer);
+        self.out_of_reach = out_of_reach;
     }
 
     /// The grasp that is tried.
@@ -102,6 +107,7 @@ impl Attempt {
             frame: self.frame.is_some().then(|| frame_stem(self.number)),
             question: self.question,
             answer: self.answer.as_ref().map(AnswerRecord::from),
+            out_of_reach: self.out_of_reach,
             chosen,
             steps: self.steps,
             trial: self.trial,

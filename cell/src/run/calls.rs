@@ -116,7 +116,7 @@ impl Run<'_> {
         }
     }
 
-    fn limits(&self, pace: Pace) -> Limits {
+    pub(super) fn limits(&self, pace: Pace) -> Limits {
         let arm = &self.config.arm;
         let speed_m_s = match pace {
             Pace::Travel => arm.speed_m_s,

@@ -49,10 +49,11 @@ impl Run<'_> {
         let limit = seconds(self.config.timeouts.plan_s);
         let answer = answered(limit, self.cell.planner.plan(frame, question, limit)).await?;
         let (why, rejections) = (answer.no_grasp.clone(), answer.rejections());
-        self.attempt.take(answer, &self.failed_poses);
+        let out_of_reach = self.out_of_reach(&answer);
+        self.attempt.take(answer, out_of_reach, &self.failed_poses);
         let Some(why) = why else {
             self.empty_frames = 0;
-            return Ok(Next::Go(Step::Open));
+            return self.some_in_reach().map(|()| Next::Go(Step::Open));
         };
         if why.reason.is_empty_tray() {
             self.empty_frames += 1;

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use graspd_adapters_core::{
     Arm, ArmInfo, ArmMode, ArmState, CameraInfo, DepthCamera, DepthFrame, DeviceError, FaultKind,
-    GripCommand, Hand, HandInfo, HandState, Lens, Limits, Reached, async_trait,
+    GripCommand, Hand, HandInfo, HandState, Leg, Lens, Limits, Reach, Reached, async_trait,
 };
 use graspd_cell::Cell;
 use graspd_cell::config::CellConfig;
@@ -76,6 +76,8 @@ pub(crate) struct World {
     pub(crate) reach_z_m: f64,
     /// Steps in which the way straight up is out of reach.
     pub(crate) no_way_up: Vec<Step>,
+    /// The arm says before it goes that it does not get so far along x, metres; `None`: it cannot tell.
+    pub(crate) reach_x_m: Option<f64>,
     /// Share of the way after which the hand meets something, with [`Fault::Contact`].
     pub(crate) met_after: f64,
     /// Where the planned grasps open the thumb; the finger opens twice as far.
@@ -110,6 +112,7 @@ impl Shared {
             end_wanted: false,
             reach_z_m: f64::INFINITY,
             no_way_up: Vec::new(),
+            reach_x_m: None,
             met_after: 0.5,
             open: 0.0,
             misses: 0,
@@ -298,6 +301,16 @@ impl Shared {
 impl Arm for Shared {
     fn info(&self) -> ArmInfo {
         ArmInfo { name: "arm".into(), model: "scripted".into(), reach_m: 1.0, replaces_motion: false }
+    }
+
+    fn reaches(&self, way: &[Leg]) -> Reach {
+        let Some(reach_m) = self.world().reach_x_m else { return Reach::Unknown };
+        assert_eq!(way.iter().map(|leg| leg.straight).collect::<Vec<_>>(), [false, true, true]);
+        let beyond = |leg: &Leg| leg.world_from_flange.translation.vector.x > reach_m;
+        match way.iter().rposition(beyond) {
+            Some(leg) => Reach::Beyond { leg, why: "arm: x: found far, expected near".into() },
+            None => Reach::Reaches,
+        }
     }
 
     async fn state(&self, _timeout: Duration) -> Result<ArmState, DeviceError> {

@@ -2,6 +2,8 @@
 
 mod progress;
 mod replay;
+mod simulation;
+mod truth;
 pub(super) mod world;
 
 use std::future::Future;

@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use clap::{Args, Subcommand, ValueEnum};
 use graspd_adapters_emulators::dynamixel::{self, BusConfig, BusEmulator};
-use graspd_adapters_emulators::line::LineFaults;
+use graspd_adapters_emulators::faults::LinkFaults;
 use graspd_adapters_emulators::requests::{
     FaultRequest, FaultyDevice, befall_bus, befall_gripper, befall_ur, carry_out,
 };
@@ -243,7 +243,7 @@ async fn robotiq(args: &RobotiqArgs, faults: Vec<FaultRequest>) -> anyhow::Resul
         let kind = if three { "robotiq-3f" } else { "robotiq-2f" };
         writeln!(out, "cell.toml  [hand] kind = \"{kind}\", address = any of these")?;
     }
-    let mut lines: Vec<LineFaults> =
+    let mut lines: Vec<LinkFaults> =
         vec![line.faults().clone(), modbus.faults().clone(), rtu.faults().clone()];
     lines.extend(socket.as_ref().map(|s| s.faults().clone()));
     until_the_end(faults, |request, begins| befall_gripper(&gripper, &lines, request, begins)).await

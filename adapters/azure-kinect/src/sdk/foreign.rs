@@ -12,6 +12,7 @@ use std::ptr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use graspd_adapters_core::foreign_functions;
 use libloading::Library;
 
 use super::{SdkError, log};
@@ -67,32 +68,8 @@ impl Configuration {
     }
 }
 
-macro_rules! functions {
-    ($($name:ident: $symbol:literal, fn($($argument:ty),*) $(-> $result:ty)?;)*) => {
-        /// The functions, by name.
-        struct Functions {
-            $($name: unsafe extern "C" fn($($argument),*) $(-> $result)?,)*
-        }
-
-        impl Functions {
-            /// Looks every function up.
-            fn find(library: &Library) -> Result<Self, String> {
-                Ok(Self {
-                    $($name: {
-                        // SAFETY: the type is that of the function in version 1.4's header; the pointer is only kept
-                        // beside the library that it points into.
-                        let found = unsafe {
-                            library.get::<unsafe extern "C" fn($($argument),*) $(-> $result)?>($symbol)
-                        };
-                        *found.map_err(|error| format!("it is no libk4a 1.4: {error}"))?
-                    },)*
-                })
-            }
-        }
-    };
-}
-
-functions! {
+foreign_functions! {
+    "it is no libk4a 1.4";
     installed: b"k4a_device_get_installed_count", fn() -> u32;
     open: b"k4a_device_open", fn(u32, *mut Handle) -> c_int;
     close: b"k4a_device_close", fn(Handle);

@@ -6,7 +6,7 @@ mod log;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use graspd_adapters_core::library::{LibraryMissing, places};
+use graspd_adapters_core::library::{self, LibraryMissing, places};
 
 pub(crate) use foreign::{Configuration, Device, Sdk};
 
@@ -45,15 +45,10 @@ fn said(log: &[String]) -> String {
 
 /// Looks for the library and loads it. Blocking.
 pub(crate) fn load(configured: Option<&Path>) -> Result<(Arc<Sdk>, PathBuf), LibraryMissing> {
-    let mut tried = Vec::new();
-    for place in places(configured, std::env::var_os(ENVIRONMENT), &NAMES, &FOLDERS) {
-        match Sdk::load(&place) {
-            Ok(sdk) => {
-                log::listen(&sdk);
-                return Ok((Arc::new(sdk), place));
-            }
-            Err(why) => tried.push((place, why)),
-        }
-    }
-    Err(LibraryMissing { library: "libk4a", tried, remedy: REMEDY.into() })
+    let places = places(configured, std::env::var_os(ENVIRONMENT), &NAMES, &FOLDERS);
+    library::load("libk4a", REMEDY, places, |place| {
+        let sdk = Sdk::load(place)?;
+        log::listen(&sdk);
+        Ok(Arc::new(sdk))
+    })
 }

@@ -3,78 +3,49 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
-use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use graspd_adapters_azure_kinect::KinectCamera;
 use graspd_adapters_azure_kinect::calibration::EXAMPLE;
 use graspd_adapters_azure_kinect::mode::{DepthMode, FrameRate};
 use graspd_adapters_azure_kinect::settings::{DeviceSettings, KinectSettings, Source};
+use graspd_adapters_core::testing::{StandIn, built};
 use graspd_adapters_core::{DepthCamera, DeviceError};
 
 const AGE: Duration = Duration::from_secs(1);
 const LONG: Duration = Duration::from_secs(20);
 
-/// Built once; `None` without a C compiler.
-fn built() -> Option<&'static Path> {
-    static BUILT: OnceLock<Option<PathBuf>> = OnceLock::new();
-    BUILT
-        .get_or_init(|| {
-            let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("k4a-{}.so", std::process::id()));
-            let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/k4a.c");
-            let status = Command::new("cc")
-                .args(["-shared", "-fPIC", "-O1", "-Wall", "-o"])
-                .arg(&out)
-                .arg(source)
-                .arg("-lpthread")
-                .status();
-            match status {
-                Ok(status) => {
-                    assert!(status.success(), "the stand-in library does not build");
-                    Some(out)
-                }
-                Err(error) => {
-                    eprintln!("SKIPPED: no C compiler to build the stand-in library with: {error}");
-                    None
-                }
-            }
-        })
-        .as_deref()
+fn source() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/live/k4a.c"))
 }
 
-/// A library of one test's own: each copy has its own state.
-struct Library(PathBuf);
+fn folder() -> &'static Path {
+    Path::new(env!("CARGO_TARGET_TMPDIR"))
+}
+
+/// A library of one test's own.
+struct Library(StandIn);
+
+impl std::ops::Deref for Library {
+    type Target = StandIn;
+
+    fn deref(&self) -> &StandIn {
+        &self.0
+    }
+}
 
 impl Library {
     fn new(test: &str) -> Option<Self> {
-        let path = built()?.with_file_name(format!("libk4a-{test}-{}.so", std::process::id()));
-        std::fs::copy(built()?, &path).unwrap();
-        let library = Self(path);
+        let library = StandIn::new(source(), folder(), "libk4a", test)?;
         std::fs::write(library.beside("json"), EXAMPLE).unwrap();
-        library.control("");
-        Some(library)
-    }
-
-    fn beside(&self, ending: &str) -> PathBuf {
-        PathBuf::from(format!("{}.{ending}", self.0.display()))
-    }
-
-    /// In one step: the library reads it at every call.
-    fn control(&self, text: &str) {
-        let new = self.beside("new");
-        std::fs::write(&new, text).unwrap();
-        std::fs::rename(new, self.beside("control")).unwrap();
-    }
-
-    fn report(&self) -> String {
-        std::fs::read_to_string(self.beside("report")).unwrap()
+        Some(Self(library))
     }
 
     fn settings(&self) -> DeviceSettings {
         DeviceSettings {
-            library: Some(self.0.clone()),
+            library: Some(self.path().to_owned()),
             mode: DepthMode::Nfov2x2binned,
             frames_per_second: FrameRate::Thirty,
             latency_ms: Some(0.0),
@@ -87,14 +58,6 @@ impl Library {
     async fn camera(&self, settings: DeviceSettings) -> KinectCamera {
         let settings = KinectSettings { name: "kinect".into(), source: Source::Device(settings) };
         KinectCamera::new(settings).await.unwrap()
-    }
-}
-
-impl Drop for Library {
-    fn drop(&mut self) {
-        for path in [self.0.clone(), self.beside("json"), self.beside("control"), self.beside("report")] {
-            let _gone = std::fs::remove_file(path);
-        }
     }
 }
 
@@ -295,7 +258,7 @@ fn a_missing_library_is_said_with_places_and_remedy() {
         let found = camera.check(LONG).await;
         assert!(!found[0].ok && found.len() == 2, "{found:?}");
         // A library that is not the one that is meant.
-        let Some(other) = built() else { return };
+        let Some(other) = built(source(), folder()) else { return };
         let other = other.with_file_name(format!("other-{}.so", std::process::id()));
         let status =
             Command::new("cc").args(["-shared", "-x", "c", "/dev/null", "-o"]).arg(&other).status().unwrap();

@@ -21,7 +21,8 @@ use bus::Bus;
 pub use config::{BusConfig, MotorConfig};
 pub use plant::{KinematicPlant, MotorCommand, MotorState, Obstacles, Plant};
 
-use crate::line::{LineDevice, LineFaults, Reply, SerialLine};
+use crate::faults::LinkFaults;
+use crate::line::{LineDevice, Reply, SerialLine};
 
 /// A bus of motors that clients open by its path.
 #[derive(Debug)]
@@ -48,7 +49,7 @@ impl BusEmulator {
     }
 
     /// Faults of the line.
-    pub fn faults(&self) -> &LineFaults {
+    pub fn faults(&self) -> &LinkFaults {
         self.line.faults()
     }
 

@@ -49,6 +49,48 @@ fn bytes_are_answered_with_the_published_bytes() {
 }
 
 #[test]
+fn registers_begin_as_published() {
+    let start = Instant::now();
+    let config = |full| BusConfig { return_delay: 250, ..BusConfig::leap(full) };
+    // Address, bytes, values of an XL330-M288 and an XC330-M288.
+    for (addr, len, lite, xc) in [
+        (0, 2, 1200, 1240),
+        (9, 1, 250, 250),
+        (11, 1, 3, 3),
+        (20, 4, 0, 0),
+        (31, 1, 70, 70),
+        (32, 2, 70, 70),
+        (34, 2, 35, 35),
+        (36, 2, 885, 885),
+        (38, 2, 1750, 2352),
+        (44, 4, 445, 350),
+        (48, 4, 4095, 4095),
+        (52, 4, 0, 0),
+        (63, 1, 53, 52),
+        (64, 1, 0, 0),
+        (68, 1, 2, 2),
+        (76, 2, 1600, 1600),
+        (78, 2, 180, 50),
+        (80, 2, 0, 500),
+        (82, 2, 0, 0),
+        (84, 2, 400, 1100),
+        (88, 4, 0, 0),
+        (98, 1, 0, 0),
+        (108, 4, 0, 0),
+        (112, 4, 0, 0),
+        (168, 2, 208, 208),
+        (206, 2, 227, 227),
+    ] {
+        for (full, expected) in [(false, lite), (true, xc)] {
+            let mut bus = Bus::new(config(full), Box::new(KinematicPlant::new()), start);
+            let bytes = bus.peek(5, addr, len, start).unwrap();
+            let found = bytes.iter().rev().fold(0i64, |value, byte| value << 8 | i64::from(*byte));
+            assert_eq!(found, expected, "address {addr}, full {full}");
+        }
+    }
+}
+
+#[test]
 fn motors_go_where_they_are_told_and_obey_limits() {
     let start = Instant::now();
     let mut bus = bus(start);

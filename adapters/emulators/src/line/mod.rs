@@ -1,11 +1,9 @@
 //! A serial line with a device at its end: a pseudo-terminal, served by a thread of its own.
 
-mod faults;
 mod pty;
 
 use std::time::{Duration, Instant};
 
-pub use faults::LineFaults;
 pub use pty::SerialLine;
 
 /// Bytes that a device sends.

@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 
 use serialport::{SerialPort, TTYPort};
 
-use super::{LineDevice, LineFaults};
+use super::LineDevice;
+use crate::faults::LinkFaults;
 
 /// Longest time without looking up, also the silence after which a frame that is not whole is forgotten.
 const LOOK_UP: Duration = Duration::from_millis(20);
@@ -21,7 +22,7 @@ const LOOK_UP: Duration = Duration::from_millis(20);
 #[derive(Debug)]
 pub struct SerialLine {
     path: PathBuf,
-    faults: LineFaults,
+    faults: LinkFaults,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -35,7 +36,7 @@ impl SerialLine {
     pub fn start(device: impl LineDevice, path: Option<PathBuf>) -> io::Result<Self> {
         let path = path.unwrap_or_else(free_path);
         let ends = Ends::open(&path)?;
-        let (faults, stop) = (LineFaults::default(), Arc::new(AtomicBool::new(false)));
+        let (faults, stop) = (LinkFaults::default(), Arc::new(AtomicBool::new(false)));
         let server = Server {
             device,
             ends: Some(ends),
@@ -53,7 +54,7 @@ impl SerialLine {
     }
 
     /// Faults of this line.
-    pub fn faults(&self) -> &LineFaults {
+    pub fn faults(&self) -> &LinkFaults {
         &self.faults
     }
 }
@@ -106,7 +107,7 @@ struct Server<D> {
     device: D,
     ends: Option<Ends>,
     path: PathBuf,
-    faults: LineFaults,
+    faults: LinkFaults,
     stop: Arc<AtomicBool>,
 }
 
@@ -146,12 +147,13 @@ impl<D: LineDevice> Server<D> {
     fn answer(&mut self, bytes: &[u8]) {
         let start = Instant::now();
         for reply in self.device.receive(bytes, start) {
-            let Some(reply) = self.faults.befall(reply) else { continue };
-            if !self.wait(start + reply.after) {
+            let late = self.faults.delay();
+            let Some(bytes) = self.faults.befall(reply.bytes) else { continue };
+            if !self.wait(start + reply.after + late) {
                 return;
             }
             let Some(ends) = &mut self.ends else { return };
-            if let Err(error) = ends.device.write_all(&reply.bytes) {
+            if let Err(error) = ends.device.write_all(&bytes) {
                 tracing::debug!(%error, "an answer could not be sent");
                 return;
             }

@@ -56,7 +56,8 @@ impl Gripper {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Gives the gripper a fault by its code; 0 takes it away. Codes from 0x0A on stop it until it is activated again.
+    /// Gives the gripper a fault by its code; 0 takes it away. Codes from 0x0A on (0x0D for a 3-Finger) stop it until it is
+    /// activated again.
     pub fn fault(&self, code: u8) {
         self.lock().set_fault(code);
     }

@@ -86,7 +86,9 @@ impl Machine {
 
     pub(super) fn set_fault(&mut self, code: u8) {
         self.fault = code;
-        if code >= 0x0A {
+        // To a 3-Finger 0x0A and 0x0B pass.
+        let major = if self.config.model == Model::ThreeFinger { 0x0D } else { 0x0A };
+        if code >= major {
             self.phase = Phase::Stopped;
         } else if code == 0 && self.phase == Phase::Stopped {
             self.phase = Phase::Reset;

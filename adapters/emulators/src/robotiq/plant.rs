@@ -33,7 +33,7 @@ pub struct AxisState {
     pub moving: bool,
     /// What stopped it.
     pub contact: Option<Contact>,
-    /// Its current, in the gripper's counts.
+    /// Its current, 10 mA each.
     pub current: f64,
 }
 

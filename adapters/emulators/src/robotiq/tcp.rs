@@ -12,7 +12,8 @@ use tokio::time::{sleep, sleep_until, timeout};
 
 use super::device::Gripper;
 use super::modbus;
-use crate::line::{LineFaults, Reply};
+use crate::faults::LinkFaults;
+use crate::line::Reply;
 
 /// How often a connection looks for a requested hang-up.
 const LOOK_UP: Duration = Duration::from_millis(20);
@@ -29,7 +30,7 @@ pub(super) trait Talker: Send + 'static {
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
-    faults: LineFaults,
+    faults: LinkFaults,
     _alive: watch::Sender<()>,
 }
 
@@ -40,7 +41,7 @@ impl Server {
     }
 
     /// Faults of its connections; a hang-up closes all, and new ones are closed at once while it lasts.
-    pub fn faults(&self) -> &LineFaults {
+    pub fn faults(&self) -> &LinkFaults {
         &self.faults
     }
 }
@@ -51,7 +52,7 @@ pub(super) async fn serve<T: Talker>(
 ) -> io::Result<Server> {
     let listener = TcpListener::bind(address).await?;
     let address = listener.local_addr()?;
-    let faults = LineFaults::default();
+    let faults = LinkFaults::default();
     let (alive, gone) = watch::channel(());
     tokio::spawn(accept(listener, talker, faults.clone(), gone));
     Ok(Server { address, faults, _alive: alive })
@@ -60,7 +61,7 @@ pub(super) async fn serve<T: Talker>(
 async fn accept<T: Talker>(
     listener: TcpListener,
     talker: impl Fn() -> T,
-    faults: LineFaults,
+    faults: LinkFaults,
     mut gone: watch::Receiver<()>,
 ) {
     let mut talks = JoinSet::new();
@@ -90,7 +91,7 @@ async fn accept<T: Talker>(
     }
 }
 
-async fn talk<T: Talker>(mut stream: TcpStream, mut talker: T, faults: LineFaults) {
+async fn talk<T: Talker>(mut stream: TcpStream, mut talker: T, faults: LinkFaults) {
     // Answers are short and awaited.
     let _slower = stream.set_nodelay(true);
     let mut buffer = [0u8; 1024];
@@ -101,10 +102,11 @@ async fn talk<T: Talker>(mut stream: TcpStream, mut talker: T, faults: LineFault
         }
         let heard = tokio::time::Instant::now();
         for reply in talker.receive(&buffer[..n], heard.into_std()) {
-            let Some(reply) = faults.befall(reply) else { continue };
-            sleep_until(heard + reply.after).await;
+            let late = faults.delay();
+            let Some(bytes) = faults.befall(reply.bytes) else { continue };
+            sleep_until(heard + reply.after + late).await;
             // A client that takes nothing does not hold the server.
-            if !matches!(timeout(Duration::from_secs(5), stream.write_all(&reply.bytes)).await, Ok(Ok(()))) {
+            if !matches!(timeout(Duration::from_secs(5), stream.write_all(&bytes)).await, Ok(Ok(()))) {
                 return;
             }
         }

@@ -34,7 +34,7 @@ use self::controller::Controller;
 use self::ports::Port;
 use self::primary::Stream;
 use self::robot::Robot;
-use crate::wire_faults::WireFaults;
+use crate::faults::LinkFaults;
 
 /// Where the emulator listens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,11 +55,11 @@ pub struct UrAddresses {
 #[derive(Debug, Clone, Default)]
 pub struct UrFaults {
     /// Of the dashboard.
-    pub dashboard: WireFaults,
+    pub dashboard: LinkFaults,
     /// Of the primary, secondary and real-time interfaces.
-    pub scripts: WireFaults,
+    pub scripts: LinkFaults,
     /// Of RTDE.
-    pub rtde: WireFaults,
+    pub rtde: LinkFaults,
 }
 
 /// What the emulated arm does, seen from outside its wires.
@@ -132,7 +132,7 @@ impl UrEmulator {
         let (steps, watched) = watch::channel(0);
         let (scripts, received) = mpsc::unbounded_channel();
         let faults = UrFaults::default();
-        let port = |faults: &WireFaults| Port {
+        let port = |faults: &LinkFaults| Port {
             robot: robot.clone(),
             settings: settings.clone(),
             faults: faults.clone(),

@@ -6,14 +6,14 @@ use tokio::sync::{mpsc, watch};
 
 use super::robot::Robot;
 use super::settings::UrSettings;
-use crate::wire_faults::WireFaults;
+use crate::faults::LinkFaults;
 
 /// Shared by the connections of one port.
 #[derive(Clone)]
 pub(crate) struct Port {
     pub(crate) robot: Arc<Mutex<Robot>>,
     pub(crate) settings: Arc<UrSettings>,
-    pub(crate) faults: WireFaults,
+    pub(crate) faults: LinkFaults,
     /// Counts control steps.
     pub(crate) steps: watch::Receiver<u64>,
     pub(crate) scripts: mpsc::UnboundedSender<String>,

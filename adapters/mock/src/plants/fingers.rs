@@ -1,13 +1,11 @@
-//! The fingers of a hand of the world as motors of an emulated device: targets, speeds and one force in, positions,
-//! speeds and loads out.
-
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+//! The fingers of a hand of the world as motors of an emulated device: targets, speeds and forces in, positions, speeds
+//! and loads out.
 
 use graspd_adapters_core::check::SettingsError;
 use graspd_hands::{Coordinate, CoordinateKind};
 use graspd_sim::world::{Command, HandId, World};
 
-use super::{require_hand, require_speed};
+use super::{FarEnd, Line, require_hand, require_speed};
 use crate::shared::SharedWorld;
 use crate::stage::Process;
 
@@ -25,8 +23,8 @@ pub(super) struct Told {
     pub(super) targets: Vec<Option<f64>>,
     /// How fast, per second.
     pub(super) speeds: Vec<f64>,
-    /// Share of each actuator's full effort.
-    pub(super) force: f64,
+    /// Share of its full effort that each may use.
+    pub(super) forces: Vec<f64>,
 }
 
 /// What was measured of one motor.
@@ -41,7 +39,7 @@ pub(super) struct Seen {
 }
 
 #[derive(Debug)]
-struct Line {
+struct Said {
     told: Option<Told>,
     /// Counts what was told, and up to where the world has taken it.
     count: u64,
@@ -49,19 +47,10 @@ struct Line {
     seen: Vec<Seen>,
 }
 
-#[derive(Debug, Clone)]
-struct Held(Arc<Mutex<Line>>);
-
-impl Held {
-    fn lock(&self) -> MutexGuard<'_, Line> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 /// The near end: what a device holds.
 #[derive(Debug)]
 pub(super) struct Fingers {
-    line: Held,
+    line: Line<Said>,
     /// The hand's actuators.
     pub(super) actuators: Vec<Coordinate>,
 }
@@ -76,10 +65,10 @@ impl Fingers {
                 coordinates.into_iter().filter(|c| c.kind == CoordinateKind::Actuator).collect();
             let positions = stage.world.hand_state(hand)?.actuators;
             let seen = positions.iter().map(|p| Seen { position: *p, ..Seen::default() }).collect();
-            let line = Held(Arc::new(Mutex::new(Line { told: None, count: 0, taken: 0, seen })));
+            let line = Line::new(Said { told: None, count: 0, taken: 0, seen });
             let full = stage.world.full_efforts(hand)?;
             stage.start(Lead {
-                line: Arc::downgrade(&line.0),
+                line: line.far_end(),
                 hand,
                 full,
                 actuators: actuators.clone(),
@@ -119,7 +108,7 @@ impl Fingers {
 
 /// Leads the motors after each step of the world; ends with the device.
 struct Lead {
-    line: Weak<Mutex<Line>>,
+    line: FarEnd<Said>,
     hand: HandId,
     full: Vec<f64>,
     actuators: Vec<Coordinate>,
@@ -127,12 +116,12 @@ struct Lead {
     /// Where each actuator was when it last moved, and when that was.
     anchors: Vec<(f64, f64)>,
     before: Vec<f64>,
-    commanded: Option<(Vec<f64>, f64)>,
+    commanded: Option<(Vec<f64>, Vec<f64>)>,
 }
 
 impl Process for Lead {
     fn after_step(&mut self, world: &mut World) -> bool {
-        let Some(line) = self.line.upgrade().map(Held) else { return true };
+        let Some(line) = self.line.line() else { return true };
         let Some(state) = world.hand_state(self.hand) else { return true };
         let (dt, now_s) = (world.settings().dt_s, world.time_s());
         let mut line = line.lock();
@@ -163,11 +152,12 @@ impl Process for Lead {
             self.references[i] =
                 (self.references[i] + way).clamp(state.actuators[i] - ahead, state.actuators[i] + ahead);
         }
-        let command = (self.references.clone(), told.force);
+        let command = (self.references.clone(), told.forces.clone());
         drop(line);
         if self.commanded.as_ref() != Some(&command) {
-            let (actuators, force) = command.clone();
-            if !world.command(self.hand, Command::Close { actuators, force, speed: 1.0 }) {
+            let actuators = command.0.clone();
+            let close = Command::Close { actuators, force: 1.0, speed: 1.0 };
+            if !(world.share_forces(self.hand, &command.1) && world.command(self.hand, close)) {
                 return true;
             }
             self.commanded = Some(command);

@@ -50,6 +50,8 @@ pub struct GripperPlant {
     axes: Vec<Axis>,
     /// Weakest force as a share of the strongest.
     weakest: f64,
+    /// As told last, share of the full effort of each actuator: what stands presses on with it.
+    forces: Vec<f64>,
 }
 
 impl GripperPlant {
@@ -64,7 +66,8 @@ impl GripperPlant {
         // 20 to 150 mm/s over 85 mm.
         let speeds = (20.0 * 227.0 / 85.0, 150.0 * 227.0 / 85.0);
         let axes = vec![Axis { actuator: 0, counts, values, speeds }];
-        Ok(Self { fingers, axes, weakest: 20.0 / 235.0 })
+        let weakest = 20.0 / 235.0;
+        Ok(Self { fingers, axes, weakest, forces: vec![weakest] })
     }
 
     /// For a 3-Finger: a hand whose actuators are `scissor`, `finger_1`, `finger_2` and `finger_middle`.
@@ -88,7 +91,9 @@ impl GripperPlant {
             };
             axes.push(Axis { actuator, counts, values, speeds });
         }
-        Ok(Self { fingers, axes, weakest: 15.0 / 60.0 })
+        let weakest = 15.0 / 60.0;
+        let forces = vec![weakest; fingers.actuators.len()];
+        Ok(Self { fingers, axes, weakest, forces })
     }
 }
 
@@ -100,7 +105,8 @@ fn other_hand(fingers: &Fingers, expected: &str) -> SettingsError {
 impl Plant for GripperPlant {
     fn advance(&mut self, _: Duration, commands: &[AxisCommand], states: &mut [AxisState]) {
         let count = self.fingers.actuators.len();
-        let mut told = Told { targets: vec![None; count], speeds: vec![0.0; count], force: 0.0 };
+        let (targets, speeds) = (vec![None; count], vec![0.0; count]);
+        let mut told = Told { targets, speeds, forces: self.forces.clone() };
         let mut goes = false;
         for (axis, command) in self.axes.iter().zip(commands) {
             let (slowest, fastest) = axis.speeds;
@@ -110,10 +116,11 @@ impl Plant for GripperPlant {
             if let Some(target) = command.target {
                 goes = true;
                 told.targets[axis.actuator] = Some(axis.value(target));
-                told.force = told.force.max(self.weakest + command.force * (1.0 - self.weakest));
+                told.forces[axis.actuator] = self.weakest + command.force * (1.0 - self.weakest);
             }
         }
         if goes {
+            self.forces.clone_from(&told.forces);
             self.fingers.tell(told);
         } else {
             self.fingers.hold();

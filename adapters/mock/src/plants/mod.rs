@@ -15,9 +15,41 @@ pub use gripper::GripperPlant;
 pub use motors::MotorPlant;
 pub use wrist::{WristMount, WristPlant};
 
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
 use graspd_adapters_core::check::{SettingsError, require};
 
 use crate::shared::SharedWorld;
+
+/// What a device's thread and the world's thread tell each other. Neither keeps the other waiting for longer than it takes
+/// to copy what it says.
+#[derive(Debug)]
+struct Line<T>(Arc<Mutex<T>>);
+
+/// The world's end of a line: it does not keep the line, which ends with the device.
+#[derive(Debug)]
+struct FarEnd<T>(Weak<Mutex<T>>);
+
+impl<T> Line<T> {
+    fn new(said: T) -> Self {
+        Self(Arc::new(Mutex::new(said)))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, T> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn far_end(&self) -> FarEnd<T> {
+        FarEnd(Arc::downgrade(&self.0))
+    }
+}
+
+impl<T> FarEnd<T> {
+    /// The line; `None` once the device is gone.
+    fn line(&self) -> Option<Line<T>> {
+        self.0.upgrade().map(Line)
+    }
+}
 
 /// Refuses a world that stands still while nobody waits for it.
 fn require_speed(shared: &SharedWorld) -> Result<(), SettingsError> {

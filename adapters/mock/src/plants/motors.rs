@@ -52,13 +52,13 @@ impl Plant for MotorPlant {
         let of = |id: &u8| commands.iter().position(|c| c.id == *id);
         let places: Vec<Option<usize>> = self.ids.iter().map(of).collect();
         let count = self.ids.len();
-        let mut told = Told { targets: vec![None; count], speeds: vec![FASTEST_RAD_S; count], force: 0.0 };
+        let speeds = vec![FASTEST_RAD_S; count];
+        let mut told = Told { targets: vec![None; count], speeds, forces: vec![0.0; count] };
         for (i, command) in places.iter().enumerate().filter_map(|(i, at)| Some((i, &commands[(*at)?]))) {
             if command.torque {
                 told.targets[i] = Some(command.goal_rad - PI);
                 told.speeds[i] = command.speed_limit_rad_s.min(FASTEST_RAD_S);
-                // The world's hands have one force for all their motors.
-                told.force = told.force.max((command.current_limit_ma.abs() / self.full_ma).min(1.0));
+                told.forces[i] = (command.current_limit_ma.abs() / self.full_ma).min(1.0);
             }
         }
         self.fingers.tell(told);

@@ -1,13 +1,11 @@
 //! The wrist of a hand of the world as the body of an emulated arm.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-
 use graspd_adapters_core::check::SettingsError;
 use graspd_adapters_emulators::ur::{Plant, PlantState, PlantTarget, Six, UrModel};
 use graspd_sim::world::{HandId, World, WristForce};
 use nalgebra::{Isometry3, Vector3};
 
-use super::{require_hand, require_speed};
+use super::{FarEnd, Line, require_hand, require_speed};
 use crate::shared::SharedWorld;
 use crate::stage::Process;
 
@@ -52,7 +50,7 @@ fn way(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Twist {
 
 /// What the controller's thread and the world's thread tell each other.
 #[derive(Debug)]
-struct Line {
+struct Said {
     /// Where the hand should be, and how fast that moves: metres and radians per second.
     target: Option<(Isometry3<f64>, Twist)>,
     /// Where it is, and what presses on it, world frame.
@@ -62,19 +60,10 @@ struct Line {
     alive: bool,
 }
 
-#[derive(Debug, Clone)]
-struct Held(Arc<Mutex<Line>>);
-
-impl Held {
-    fn lock(&self) -> MutexGuard<'_, Line> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 /// A body for an emulated arm: the wrist of a hand of the world.
 #[derive(Debug)]
 pub struct WristPlant {
-    line: Held,
+    line: Line<Said>,
     mount: WristMount,
     q: Six,
     qd: Six,
@@ -92,10 +81,9 @@ impl WristPlant {
         let expected = mount.world_from_base * flange * mount.flange_from_hand;
         let begun = shared.on_stage(move |stage| {
             let at = stage.world.hand_state(hand)?.world_from_hand;
-            let line = Line { target: None, at, force: Vector3::zeros(), alive: true };
-            let line = Held(Arc::new(Mutex::new(line)));
+            let line = Line::new(Said { target: None, at, force: Vector3::zeros(), alive: true });
             stage.start(Follow {
-                line: Arc::downgrade(&line.0),
+                line: line.far_end(),
                 hand,
                 reference: at,
                 velocity: (Vector3::zeros(), Vector3::zeros()),
@@ -159,7 +147,7 @@ impl Plant for WristPlant {
 
 /// Leads the wrist after each step of the world; ends with the plant.
 struct Follow {
-    line: Weak<Mutex<Line>>,
+    line: FarEnd<Said>,
     hand: HandId,
     reference: Isometry3<f64>,
     velocity: Twist,
@@ -183,7 +171,7 @@ fn lead(
 
 impl Process for Follow {
     fn after_step(&mut self, world: &mut World) -> bool {
-        let Some(line) = self.line.upgrade().map(Held) else { return true };
+        let Some(line) = self.line.line() else { return true };
         let Some(state) = world.hand_state(self.hand) else { return true };
         let at = state.world_from_hand;
         let force = self.felt.feel_vector(world, self.hand);
@@ -209,8 +197,8 @@ impl Process for Follow {
 impl Drop for Follow {
     fn drop(&mut self) {
         // The world has ended, or the hand has gone; a plant that is gone itself hears nothing.
-        if let Some(line) = self.line.upgrade() {
-            Held(line).lock().alive = false;
+        if let Some(line) = self.line.line() {
+            line.lock().alive = false;
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use graspd_adapters_core::{Arm, ArmMode, DeviceError, FaultKind, Limits, Reached};
+use graspd_adapters_core::{Arm, ArmMode, DeviceError, FaultKind, Leg, Limits, Reach, Reached};
 use graspd_adapters_mock::{After, ArmSettings, Faults, MockArm, MotionFault, Spell, StopKind};
 
 use crate::fixtures::{LIMITS, SECOND, TEN, apart, arm, down, gripper, shared};
@@ -327,4 +327,20 @@ async fn an_arm_whose_base_is_nowhere_is_refused() {
         let error = MockArm::new(&shared, hand, settings, Faults::default()).unwrap_err();
         assert_eq!((error.field.as_str(), error.expected.as_str()), ("base_m", "a finite number"));
     }
+}
+
+#[tokio::test]
+async fn what_is_out_of_reach_is_known_before_anything_moves() {
+    let shared = shared(0.0);
+    let arm = arm(&shared, Faults::default()).await;
+    let leg = |straight, z| Leg { world_from_flange: down(0.0, 0.0, z), straight, limits: LIMITS };
+    assert_eq!(arm.reaches(&[leg(false, 0.5), leg(true, 0.2)]), Reach::Reaches);
+    let way = [leg(false, 0.5), leg(true, 2.0)];
+    let Reach::Beyond { leg: 1, why } = arm.reaches(&way) else { panic!("{:?}", arm.reaches(&way)) };
+    // The word is kept: in the same words.
+    arm.move_to(&way[0].world_from_flange, LIMITS, TEN).await.unwrap();
+    let error = arm.move_linear(&way[1].world_from_flange, LIMITS, TEN).await.unwrap_err();
+    assert_eq!(error.to_string(), why);
+    let fast = Leg { limits: Limits { speed_m_s: 9.0, ..LIMITS }, ..leg(false, 0.5) };
+    assert!(matches!(arm.reaches(&[fast]), Reach::Beyond { leg: 0, .. }));
 }

@@ -174,3 +174,46 @@ async fn a_world_on_demand_is_no_body() {
     let error = GripperPlant::three_finger(&shared, hand).await.unwrap_err();
     assert!(error.to_string().contains("expected finger_middle"), "{error}");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_motor_presses_with_the_current_of_its_own_register() {
+    let (shared, hand) = world("leap", SPEED, None).await;
+    let names: Vec<String> = {
+        let hand = library::hand("leap").unwrap();
+        hand.actuation.coordinates.iter().map(|c| c.name.clone()).collect()
+    };
+    // A block between the fingers that is too heavy for them.
+    let block = Object { mass_kg: 50.0, ..Object::cuboid("block", Vector3::new(0.03, 0.03, 0.16)).unwrap() };
+    let centre = Isometry3::translation(0.0, 0.0, 0.16);
+    shared.with(move |world| world.add(Arc::new(block), &centre)).await.unwrap();
+    let mut plant = MotorPlant::new(&shared, hand, (0..16).collect(), 350.0).await.unwrap();
+    let name = |id: u8| names[usize::from(id)].as_str();
+    let commands: Vec<MotorCommand> = (0..16)
+        .map(|id| MotorCommand {
+            id,
+            torque: name(id) != "ring_dip",
+            goal_rad: std::f64::consts::PI + if name(id).contains("abduction") { 0.0 } else { 1.2 },
+            current_limit_ma: if name(id).starts_with("index") { 40.0 } else { 300.0 },
+            speed_limit_rad_s: 6.0,
+        })
+        .collect();
+    let mut states = [MotorState::default(); 16];
+    let (mut most, until) = ([0.0_f64; 16], Instant::now() + Duration::from_millis(800));
+    while Instant::now() < until {
+        plant.advance(Duration::from_millis(5), &commands, &mut states);
+        most.iter_mut().zip(&states).for_each(|(most, now)| *most = most.max(now.current_ma.abs()));
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    // Damping counts as well: a little more than the limit shows while speeds change.
+    for (id, most) in (0..16).zip(most) {
+        let limit = if name(id).starts_with("index") { 40.0 } else { 300.0 };
+        assert!(most <= 1.3 * limit, "{}: {most} mA of {limit}", name(id));
+        assert!(most == 0.0 || name(id) != "ring_dip", "{most} mA without torque");
+    }
+    let of = |finger: &str| {
+        let own = (0..16u8).filter(|id| name(*id).starts_with(finger));
+        own.map(|id| most[usize::from(id)]).fold(0.0, f64::max)
+    };
+    assert!(of("index") > 20.0, "the index finger does not press: {names:?} {most:?}");
+    assert!(of("middle") > 100.0, "the middle finger does not press: {names:?} {most:?}");
+}

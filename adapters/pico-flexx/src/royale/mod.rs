@@ -9,7 +9,7 @@ mod foreign;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use graspd_adapters_core::library::{LibraryMissing, places};
+use graspd_adapters_core::library::{self, LibraryMissing, places};
 
 pub(crate) use foreign::{Camera, Picture, Point, Royale};
 
@@ -70,16 +70,13 @@ fn status_name(status: i32) -> &'static str {
 
 /// Looks for the library and loads it. Blocking.
 pub(crate) fn load(configured: Option<&Path>) -> Result<(Arc<Royale>, PathBuf), LibraryMissing> {
-    let mut tried = Vec::new();
-    for place in places(configured, std::env::var_os(ENVIRONMENT), &NAMES, &FOLDERS) {
-        match Royale::load(&place) {
-            Ok(royale) if royale.version()[0] == MAJOR => return Ok((Arc::new(royale), place)),
-            Ok(royale) => {
-                let [major, minor, patch] = royale.version();
-                tried.push((place, format!("found version {major}.{minor}.{patch}, expected {MAJOR}.x")));
-            }
-            Err(why) => tried.push((place, why)),
+    let places = places(configured, std::env::var_os(ENVIRONMENT), &NAMES, &FOLDERS);
+    library::load("libroyaleCAPI", REMEDY, places, |place| {
+        let royale = Royale::load(place)?;
+        let [major, minor, patch] = royale.version();
+        if major == MAJOR {
+            return Ok(Arc::new(royale));
         }
-    }
-    Err(LibraryMissing { library: "libroyaleCAPI", tried, remedy: REMEDY.into() })
+        Err(format!("found version {major}.{minor}.{patch}, expected {MAJOR}.x"))
+    })
 }

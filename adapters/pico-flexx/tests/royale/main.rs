@@ -2,11 +2,10 @@
 //! with faults on request.
 #![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
-use std::sync::OnceLock;
+use std::path::Path;
 use std::time::Duration;
 
+use graspd_adapters_core::testing::StandIn;
 use graspd_adapters_core::{DepthCamera, DeviceError};
 use graspd_adapters_pico_flexx::settings::{Exposure, RoyaleSettings, Source};
 use graspd_adapters_pico_flexx::{FlexxCamera, FlexxSettings};
@@ -14,64 +13,26 @@ use graspd_adapters_pico_flexx::{FlexxCamera, FlexxSettings};
 const AGE: Duration = Duration::from_secs(1);
 const LONG: Duration = Duration::from_secs(20);
 
-/// Built once; `None` without a C compiler.
-fn built() -> Option<&'static Path> {
-    static BUILT: OnceLock<Option<PathBuf>> = OnceLock::new();
-    BUILT
-        .get_or_init(|| {
-            let out =
-                Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("royale-{}.so", std::process::id()));
-            let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/royale/royale.c");
-            let status = Command::new("cc")
-                .args(["-shared", "-fPIC", "-O1", "-Wall", "-o"])
-                .arg(&out)
-                .arg(source)
-                .arg("-lpthread")
-                .status();
-            match status {
-                Ok(status) => {
-                    assert!(status.success(), "the stand-in library does not build");
-                    Some(out)
-                }
-                Err(error) => {
-                    eprintln!("SKIPPED: no C compiler to build the stand-in library with: {error}");
-                    None
-                }
-            }
-        })
-        .as_deref()
-}
+/// A library of one test's own.
+struct Library(StandIn);
 
-/// A library of one test's own: each copy has its own state.
-struct Library(PathBuf);
+impl std::ops::Deref for Library {
+    type Target = StandIn;
+
+    fn deref(&self) -> &StandIn {
+        &self.0
+    }
+}
 
 impl Library {
     fn new(test: &str) -> Option<Self> {
-        let path = built()?.with_file_name(format!("libroyaleCAPI-{test}-{}.so", std::process::id()));
-        std::fs::copy(built()?, &path).unwrap();
-        let library = Self(path);
-        library.control("");
-        Some(library)
-    }
-
-    fn beside(&self, ending: &str) -> PathBuf {
-        PathBuf::from(format!("{}.{ending}", self.0.display()))
-    }
-
-    /// In one step: the library reads it for every frame.
-    fn control(&self, text: &str) {
-        let new = self.beside("new");
-        std::fs::write(&new, text).unwrap();
-        std::fs::rename(new, self.beside("control")).unwrap();
-    }
-
-    fn report(&self) -> String {
-        std::fs::read_to_string(self.beside("report")).unwrap()
+        let source = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/royale/royale.c"));
+        StandIn::new(source, Path::new(env!("CARGO_TARGET_TMPDIR")), "libroyaleCAPI", test).map(Self)
     }
 
     fn source(&self) -> RoyaleSettings {
         RoyaleSettings {
-            library: Some(self.0.clone()),
+            library: Some(self.path().to_owned()),
             use_case: "MODE_5_45FPS_500".into(),
             ..RoyaleSettings::default()
         }
@@ -88,14 +49,6 @@ impl Library {
             ..FlexxSettings::default()
         };
         FlexxCamera::new(settings).unwrap()
-    }
-}
-
-impl Drop for Library {
-    fn drop(&mut self) {
-        for path in [self.0.clone(), self.beside("control"), self.beside("report")] {
-            let _gone = std::fs::remove_file(path);
-        }
     }
 }
 

@@ -283,6 +283,11 @@ impl Driver {
                 Finding::bad("fault", fault.to_string(), "take away the cause, then clear the fault")
             }
         });
+        if status.controller_fault != 0 {
+            let found = format!("fault {:#x} (high half of the fault byte)", status.controller_fault);
+            let advice = "look it up in the manual of the controller that the gripper hangs on";
+            findings.push(Finding::bad("controller", found, advice));
+        }
         let phase = format!("{:?}", status.phase);
         findings.push(if status.activated && status.phase == Phase::Ready {
             Finding::good("activation", phase)

@@ -198,6 +198,54 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn status_is_also_read_with_function_code_4_as_published() {
+        let mut link = link_to(&[("09 04 07 D0 00 03 B1 CE", "09 04 06 B9 00 00 FF BD 00 5C 9A")], 3);
+        link.input_registers = true;
+        assert_eq!(link.read().await.unwrap(), [0xB9, 0, 0, 0xFF, 0xBD, 0]);
+    }
+
+    /// A 3-Finger on Modbus TCP: registers from 0, read with function code 4, written with 16.
+    #[tokio::test]
+    async fn modbus_tcp_frames_are_those_of_a_three_finger_controller() {
+        let (ours, mut theirs) = tokio::io::duplex(512);
+        let address = "127.0.0.1:502".to_owned();
+        let link = LinkSettings::ModbusTcp { address };
+        let settings =
+            RobotiqSettings { model: crate::Model::ThreeFinger, link, ..RobotiqSettings::default() };
+        let ([reads_from, writes_from], input_registers) =
+            (settings.first_registers(), settings.reads_input_registers());
+        let mut link = ModbusLink {
+            reads_from,
+            writes_from,
+            input_registers,
+            ..ModbusLink::over(tcp::attach_slave(ours, Slave(9)), 8)
+        };
+        let request = [0x0B, 0x0C, 0, 10, 11, 12, 20, 21, 22, 30, 31, 32, 40, 41, 42, 0];
+        let status = [0x39, 0xAA, 0, 10, 9, 1, 20, 19, 2, 30, 29, 3, 40, 39, 4, 0];
+        let slave = tokio::spawn(async move {
+            // After the transaction's number: protocol 0, length, unit 9.
+            for (ask, answer) in [
+                (
+                    "00 00 00 17 09 10 00 00 00 08 10 0B 0C 00 0A 0B 0C 14 15 16 1E 1F 20 28 29 2A 00",
+                    "00 00 00 06 09 10 00 00 00 08",
+                ),
+                (
+                    "00 00 00 06 09 04 00 00 00 08",
+                    "00 00 00 13 09 04 10 39 AA 00 0A 09 01 14 13 02 1E 1D 03 28 27 04 00",
+                ),
+            ] {
+                let mut found = vec![0; hex(ask).len() + 2];
+                theirs.read_exact(&mut found).await.unwrap();
+                assert_eq!(found[2..], hex(ask));
+                theirs.write_all(&[&found[..2], &hex(answer)].concat()).await.unwrap();
+            }
+        });
+        link.write(&request).await.unwrap();
+        assert_eq!(link.read().await.unwrap(), status);
+        slave.await.unwrap();
+    }
+
+    #[tokio::test]
     async fn what_is_no_answer_is_an_error_that_says_so() {
         let poll = "09 03 07 D0 00 01 85 CF";
         let mut link = link_to(&[(poll, "09 83 02 41 33")], 1);

@@ -63,9 +63,10 @@ impl Fault {
         self.code == 0x0F
     }
 
-    /// True for what only a new activation ends.
+    /// True for what only a new activation ends. A 3-Finger whose scissor was in the way, or that releases, is not there
+    /// yet.
     pub fn is_major(self) -> bool {
-        self.code >= 0x0A
+        self.code >= if self.three { 0x0D } else { 0x0A }
     }
 }
 
@@ -89,6 +90,7 @@ mod tests {
         assert!(!fault(0x09).stops() && !fault(0x05).stops() && fault(0x07).stops());
         assert!(Fault::new(0, Model::TwoFinger85).is_none());
         let three = Fault::new(0x0A, Model::ThreeFinger).unwrap();
-        assert!(three.name().contains("scissor"));
+        assert!(three.name().contains("scissor") && !three.is_major());
+        assert!(Fault::new(0x0E, Model::ThreeFinger).unwrap().is_major() && fault(0x0A).is_major());
     }
 }

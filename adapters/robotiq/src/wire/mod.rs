@@ -141,6 +141,8 @@ pub struct Status {
     pub mode: Mode,
     /// Fault, if any.
     pub fault: Option<Fault>,
+    /// Fault of the controller that a 2F hangs on, by its number there; 0: none, or no such controller.
+    pub controller_fault: u8,
     /// One for each motor.
     pub axes: Vec<AxisStatus>,
 }

@@ -41,6 +41,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Status, StatusError> {
         phase,
         mode: Mode::from_bits(state >> 1),
         fault: Fault::new(fault & 0x0F, Model::ThreeFinger),
+        controller_fault: 0,
         axes: axes.chunks_exact(3).enumerate().map(axis).collect(),
     })
 }

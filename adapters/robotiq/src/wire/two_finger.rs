@@ -31,6 +31,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Status, StatusError> {
         phase,
         mode: Mode::Basic,
         fault: Fault::new(fault & 0x0F, Model::TwoFinger85),
+        controller_fault: fault >> 4,
         axes: vec![AxisStatus { requested, position, current, motion: Motion::from_bits(state >> 6) }],
     })
 }
@@ -60,6 +61,8 @@ mod tests {
         assert_eq!((gripped.axes[0].motion, gripped.axes[0].position), (Motion::HeldClosing, 0xBD));
         assert_eq!(decode(&[0x11, 0, 0, 0, 0, 0]).unwrap().phase, Phase::Activating);
         assert_eq!(decode(&[0x31, 0, 5, 0, 0, 0]).unwrap().fault.unwrap().code(), 5);
+        let of_controller = decode(&[0x31, 0, 0x30, 0, 0, 0]).unwrap();
+        assert!(of_controller.fault.is_none() && of_controller.controller_fault == 3);
         assert_eq!(
             decode(&[0x21, 0, 0, 0, 0, 0]).unwrap_err().to_string(),
             "gSTA: found 2, expected 0, 1 or 3"

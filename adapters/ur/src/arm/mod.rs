@@ -1,6 +1,7 @@
 //! The arm: what a cell asks of it, bounded, and stopped when nobody waits any more.
 
 mod motion;
+mod reach;
 mod recover;
 
 use std::sync::Arc;
@@ -8,7 +9,7 @@ use std::time::Duration;
 
 use graspd_adapters_core::check::SettingsError;
 use graspd_adapters_core::{
-    Arm, ArmInfo, ArmMode, ArmState, DeviceError, FaultKind, Limits, Reached, async_trait,
+    Arm, ArmInfo, ArmMode, ArmState, DeviceError, FaultKind, Leg, Limits, Reach, Reached, async_trait,
 };
 use nalgebra::Isometry3;
 use tokio::sync::{Mutex, broadcast, mpsc, oneshot};
@@ -90,14 +91,6 @@ impl UrArm {
     /// Its nominal kinematics, to drop unreachable grasps before anything moves.
     pub fn kinematics(&self) -> &Kinematics {
         &self.kinematics
-    }
-
-    /// True when some posture takes the hand to a pose at which the flange is inside the workspace.
-    pub fn reaches(&self, world_from_hand: &Isometry3<f64>) -> bool {
-        let base_from_flange = self.base_from_flange(world_from_hand);
-        let flange = self.world_from_base * base_from_flange;
-        let inside = self.config().limits.workspace.contains(&flange.translation.vector);
-        inside && self.kinematics.reaches(&base_from_flange)
     }
 
     /// Where the flange must be for the hand to be at a pose.
@@ -230,6 +223,15 @@ impl Arm for UrArm {
             model: model.name().into(),
             reach_m: model.reach_m(),
             replaces_motion: true,
+        }
+    }
+
+    /// By the nominal kinematics, from the newest frame: each motion as it would be planned from where the one before
+    /// leaves the arm. [`Reach::Unknown`] without a link.
+    fn reaches(&self, way: &[Leg]) -> Reach {
+        match &*self.shared.status.borrow() {
+            Status::Up(state) => self.reach_from(state, way),
+            Status::Down(_) => Reach::Unknown,
         }
     }
 

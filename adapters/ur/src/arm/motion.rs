@@ -9,7 +9,7 @@ use tokio::time::Instant;
 
 use super::{Call, UrArm};
 use crate::kinematics::{Joints, joint_distance};
-use crate::plan::{Allowed, Pace, Refusal, joint_motion, joint_pace, line_pace};
+use crate::plan::{Allowed, Pace, Refusal, joint_motion, joint_pace, line_motion};
 use crate::script::{Command, CommandKind, result};
 use crate::session::{Order, Status};
 use crate::state::{RobotState, pose_to};
@@ -262,7 +262,7 @@ impl UrArm {
     }
 
     /// The goal in the base frame.
-    fn in_base(&self, world_from_flange: &Isometry3<f64>) -> Result<Isometry3<f64>, DeviceError> {
+    pub(super) fn in_base(&self, world_from_flange: &Isometry3<f64>) -> Result<Isometry3<f64>, DeviceError> {
         let (t, r) = (world_from_flange.translation.vector, world_from_flange.rotation.coords);
         if !t.iter().chain(r.iter()).all(|v| v.is_finite()) {
             return Err(self.out_of_range("world_from_flange", world_from_flange, "finite numbers"));
@@ -359,7 +359,7 @@ impl UrArm {
         let plan = |state: &RobotState| {
             self.refuse_pressing(state, Some(&goal))?;
             let from = (&self.flange(state), &state.joints);
-            let pace = line_pace(&self.kinematics, &self.world_from_base, from, &goal, allowed)?;
+            let (_, pace) = line_motion(&self.kinematics, &self.world_from_base, from, &goal, allowed)?;
             let command = self.paced(kind, pace, pose_to(&goal));
             Ok(Command { force_n: force_n.unwrap_or(command.force_n), ..command })
         };

@@ -238,6 +238,72 @@ fn unexpected(field: &str, found: &Package) -> RtdeError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+    use tokio::io::AsyncReadExt;
+    use tokio::net::TcpListener;
+
+    /// Bytes of a package: numbers in hexadecimal, and text after them.
+    fn bytes(hex: &str, text: &str) -> Vec<u8> {
+        let numbers = hex.split_whitespace().map(|b| u8::from_str_radix(b, 16).unwrap());
+        numbers.chain(text.bytes()).collect()
+    }
+
+    #[tokio::test]
+    async fn a_link_is_made_with_the_published_packages() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let controller = tokio::spawn(async move {
+            let (mut stream, _) = listener.accept().await.unwrap();
+            for (asked, answer) in [
+                (bytes("00 05 56 00 02", ""), bytes("00 04 56 01", "")),
+                (
+                    bytes("00 03 76", ""),
+                    bytes("00 13 76 00 00 00 05 00 00 00 11 00 00 00 03 00 00 00 00", ""),
+                ),
+                (
+                    bytes("00 28 4F 40 5F 40 00 00 00 00 00", "timestamp,actual_q,robot_mode"),
+                    bytes("00 19 4F 01", "DOUBLE,VECTOR6D,INT32"),
+                ),
+                (
+                    bytes("00 2A 49", "speed_slider_mask,speed_slider_fraction"),
+                    bytes("00 11 49 01", "UINT32,DOUBLE"),
+                ),
+                (bytes("00 03 53", ""), bytes("00 04 53 01", "")),
+                (bytes("00 10 55 01 00 00 00 01 3F E0 00 00 00 00 00 00", ""), bytes("00 04 50 01", "")),
+            ] {
+                let mut found = vec![0; asked.len()];
+                stream.read_exact(&mut found).await.unwrap();
+                assert_eq!(found, asked);
+                stream.write_all(&answer).await.unwrap();
+            }
+        });
+        let mut link = RtdeLink::connect(address).await.unwrap();
+        assert_eq!(link.version(), [5, 17, 3, 0]);
+        let outputs = link.set_up_outputs(125.0, &["timestamp", "actual_q", "robot_mode"]).await.unwrap();
+        let kinds: Vec<Kind> = outputs.fields().iter().map(|(_, kind)| *kind).collect();
+        assert_eq!(kinds, [Kind::Double, Kind::Vector6d, Kind::Int32]);
+        let inputs = link.set_up_inputs(&["speed_slider_mask", "speed_slider_fraction"]).await.unwrap();
+        link.start().await.unwrap();
+        link.send(&inputs.encode(&[Value::Uint32(1), Value::Double(0.5)]).unwrap()).await.unwrap();
+        assert_eq!(link.next().await.unwrap(), Package::Pause(true));
+        controller.await.unwrap();
+    }
+
+    proptest! {
+        #[test]
+        fn any_data_is_survived_by_any_recipe(
+            kinds in prop::collection::vec(0usize..10, 0..8), id in 0u8..3,
+            bytes in prop::collection::vec(any::<u8>(), 0..120)
+        ) {
+            let fields = kinds.iter().map(|kind| ("f".to_owned(), Kind::WORDS[*kind].0)).collect();
+            let recipe = Recipe { id: 1, fields };
+            if let Ok(values) = recipe.decode(id, &bytes) {
+                prop_assert_eq!(id, 1);
+                prop_assert_eq!(bytes.len(), values.iter().map(|v| v.kind().size()).sum::<usize>());
+                prop_assert_eq!(&recipe.encode(&values).unwrap()[4..], &bytes[..]);
+            }
+        }
+    }
 
     #[test]
     fn the_published_data_package_is_read() {

@@ -90,9 +90,13 @@ fn attempt_line(record: &AttemptRecord, tally: &Tally) -> String {
     let plan =
         record.answer.as_ref().map_or_else(String::new, |a| format!("plan {:4.0} ms  ", 1000.0 * a.plan_s));
     let score = record.chosen.as_ref().map_or_else(String::new, |c| format!("score {:.2}  ", c.grasp.score));
+    let out = match record.out_of_reach.len() {
+        0 => String::new(),
+        out => format!("  ({out} grasps out of reach)"),
+    };
     let rate =
         tally.rate().map_or_else(String::new, |r| format!("  [{:.0} % of {}]", 100.0 * r, tally.trials));
-    format!("attempt {:3}  {plan}{score}{result}{rate}", record.attempt)
+    format!("attempt {:3}  {plan}{score}{result}{out}{rate}", record.attempt)
 }
 
 impl Observer for Progress {

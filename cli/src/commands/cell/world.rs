@@ -1,8 +1,6 @@
 //! The devices of a cell, in one simulated world: mock ones, and emulated ones whose wires lead into it.
 
-use std::collections::BTreeSet;
-use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use anyhow::Context as _;
 use graspd_adapters_core::{Arm, DepthCamera, Hand};
@@ -11,129 +9,25 @@ use graspd_adapters_emulators::requests::{
 };
 use graspd_adapters_mock::plants::{GripperPlant, MotorPlant, WristMount, WristPlant};
 use graspd_adapters_mock::{
-    ArmSettings, Bin, CameraSettings, Census, Faults, HandSettings, MockArm, MockCamera, MockHand, Mount,
-    SharedWorld, SharedWorldSettings, WorldEnded,
+    ArmSettings, Bin, CameraSettings, HandSettings, MockArm, MockCamera, MockHand, Mount, SharedWorld,
+    SharedWorldSettings,
 };
 use graspd_cell::config::CellConfig;
 use graspd_cell::pose::pointing_down;
-use graspd_cell::witness::{Witness, Witnessed};
-use graspd_hands::{Opening, library};
+use graspd_cell::witness::Witness;
+use graspd_hands::library;
 use graspd_sim::camera::look_at;
-use graspd_sim::clutter::{Arrangement, Sizes, arrange};
-use graspd_sim::scene;
 use graspd_sim::sensor::Sensor;
-use graspd_sim::world::{HandId, ObjectId, Tray, World, WorldSettings};
+use graspd_sim::world::HandId;
 use nalgebra::{Isometry3, Point3, Vector3};
-use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use tokio::task::JoinSet;
 
+use super::simulation::{SensorName, Simulation, WireFaults, fill, tray};
+use super::truth::SimulatedTruth;
 use crate::devices::hand::{Body, HandEmulator};
 use crate::devices::{self, EMULATOR, Section, sections};
 use crate::hand_source;
-
-/// Simulated seconds for dropped things to fall and roll before they are counted.
-const REST_S: f64 = 0.8;
-/// However wide a hand opens, the drawn objects are household objects that lie five in a tray, metres.
-const WIDEST_OPENING_M: f64 = 0.12;
-/// Most objects that a tray is filled with.
-const MOST_OBJECTS: usize = 100;
-
-/// `[simulation]`
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct Simulation {
-    /// Number of objects.
-    objects: usize,
-    /// Shortest edge that an object has at least, metres; the hand's if left out.
-    thinnest_m: Option<f64>,
-    /// Middle edge that an object has at most, metres; the hand's if left out.
-    widest_m: Option<f64>,
-    /// How they are put into the tray.
-    arrangement: ArrangementName,
-    /// Seed of objects and arrangement.
-    seed: u64,
-    /// A scene file instead of drawn objects; it brings its own tray.
-    scene: Option<PathBuf>,
-    /// Noise of the depth camera.
-    sensor: SensorName,
-    /// How many times as fast as the wall clock the world runs; 0: as fast as it can, on demand. Emulated devices live on
-    /// the wall clock: with them 0 means 1.
-    speed: f64,
-    /// What goes wrong with mock devices.
-    faults: DeviceFaults,
-    /// What goes wrong with emulated devices.
-    wire_faults: WireFaults,
-}
-
-impl Default for Simulation {
-    fn default() -> Self {
-        Self {
-            objects: 5,
-            thinnest_m: None,
-            widest_m: None,
-            arrangement: ArrangementName::Pile,
-            seed: 1,
-            scene: None,
-            sensor: SensorName::AzureKinect,
-            speed: 0.0,
-            faults: DeviceFaults::default(),
-            wire_faults: WireFaults::default(),
-        }
-    }
-}
-
-impl Simulation {
-    /// Sizes of the objects that are drawn: what the hand can take, unless it is said.
-    fn sizes(&self, hand: &graspd_hands::Hand) -> anyhow::Result<Sizes> {
-        let opening = hand.opening.unwrap_or(Opening { min_m: 0.0, max_m: WIDEST_OPENING_M });
-        let of_hand = Sizes::between_pads(opening.min_m, opening.max_m.min(WIDEST_OPENING_M));
-        for (field, value) in [("thinnest_m", self.thinnest_m), ("widest_m", self.widest_m)] {
-            anyhow::ensure!(
-                value.is_none_or(|v| (0.0..=1.0).contains(&v)),
-                "simulation.{field}: found {}, expected 0 to 1 metres",
-                value.unwrap_or_default()
-            );
-        }
-        let or = |said: Option<f64>, own: f64| said.unwrap_or(own);
-        Ok(Sizes {
-            thinnest_m: or(self.thinnest_m, of_hand.thinnest_m),
-            widest_m: or(self.widest_m, of_hand.widest_m),
-        })
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum ArrangementName {
-    Pile,
-    Packed,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum SensorName {
-    AzureKinect,
-    PicoFlexx,
-    Ideal,
-}
-
-/// `[simulation.faults]`
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct DeviceFaults {
-    camera: Faults,
-    arm: Faults,
-    hand: Faults,
-}
-
-/// `[simulation.wire_faults]`: as `graspd emulate --fault` takes them, counted from the beginning of the run.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct WireFaults {
-    arm: Vec<String>,
-    hand: Vec<String>,
-}
 
 /// The devices of a cell, and who knows what became of the objects.
 pub(in crate::commands) struct Devices {
@@ -351,110 +245,11 @@ fn table<T: DeserializeOwned>(name: &str, table: toml::Table) -> anyhow::Result<
     toml::Value::Table(table).try_into().map_err(|e: toml::de::Error| anyhow::anyhow!("{name}: {e}"))
 }
 
-/// The world with the configured tray.
-fn tray(config: &CellConfig) -> anyhow::Result<WorldSettings> {
-    let t = &config.tray;
-    anyhow::ensure!(
-        t.position_m == [0.0; 3] && t.yaw_rad == 0.0,
-        "tray.position_m, tray.yaw_rad: found {:?}, {}, expected zeros: the simulated tray is in the middle",
-        t.position_m,
-        t.yaw_rad
-    );
-    anyhow::ensure!(
-        t.wall_height_m > 0.0,
-        "tray.wall_height_m: found 0, expected more: the simulated tray has walls"
-    );
-    let tray = Tray { width_m: t.width_m, length_m: t.length_m, height_m: t.wall_height_m, wall_m: t.wall_m };
-    Ok(WorldSettings { tray: Some(tray), ..WorldSettings::default() })
-}
-
-fn fill(simulation: &Simulation, sizes: Sizes, settings: &WorldSettings) -> anyhow::Result<World> {
-    if let Some(path) = &simulation.scene {
-        let name = path.display();
-        let text = std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
-        return scene::from_json(&text).with_context(|| format!("{name}"));
-    }
-    let count = simulation.objects;
-    anyhow::ensure!(
-        count <= MOST_OBJECTS,
-        "simulation.objects: found {count}, expected at most {MOST_OBJECTS}"
-    );
-    let how = match simulation.arrangement {
-        ArrangementName::Pile => Arrangement::Pile,
-        ArrangementName::Packed => Arrangement::Packed,
-    };
-    let objects = sizes.draw(count, |round| simulation.seed.wrapping_add(round << 32));
-    anyhow::ensure!(
-        objects.len() == count,
-        "simulation.thinnest_m, simulation.widest_m: found {} to {}, expected a wider range: only {} of {count} \
-         objects fit",
-        sizes.thinnest_m,
-        sizes.widest_m,
-        objects.len()
-    );
-    arrange(settings, &objects, how, simulation.seed).context("simulation")
-}
-
-/// Tells by physics what became of the objects.
-#[derive(Debug)]
-struct SimulatedTruth {
-    shared: SharedWorld,
-    known: Mutex<Known>,
-}
-
-/// What a witness remembers.
-#[derive(Debug)]
-struct Known {
-    /// Delivered when asked last.
-    delivered: BTreeSet<ObjectId>,
-    /// Beside the tray since before the run: not lost by it.
-    beside: BTreeSet<ObjectId>,
-}
-
-impl SimulatedTruth {
-    /// A witness of what becomes of the objects from now on.
-    async fn new(shared: &SharedWorld) -> Result<Self, WorldEnded> {
-        let census = shared.census().await?;
-        let beside = census.elsewhere.iter().map(|object| object.id).collect();
-        let known = Known { delivered: delivered(&census), beside };
-        Ok(Self { shared: shared.clone(), known: Mutex::new(known) })
-    }
-}
-
-fn delivered(census: &Census) -> BTreeSet<ObjectId> {
-    census.delivered.iter().map(|object| object.id).collect()
-}
-
-#[graspd_adapters_core::async_trait]
-impl Witness for SimulatedTruth {
-    async fn outcome(&self, _attempt: u32) -> Option<Witnessed> {
-        // A world that has ended has nothing to tell; the devices report it.
-        self.shared.wait(REST_S).await.ok()?;
-        let census = self.shared.census().await.ok()?;
-        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        let elsewhere: BTreeSet<ObjectId> = census.elsewhere.iter().map(|object| object.id).collect();
-        // What the run has moved is its own from then on.
-        known.beside.retain(|id| elsewhere.contains(id));
-        let arrived = delivered(&census);
-        let witnessed = Witnessed {
-            delivered: arrived.difference(&known.delivered).count() as u32,
-            lost: elsewhere.difference(&known.beside).count() as u32,
-            in_tray: census.tray.len() as u32,
-            in_hand: census.held.len() as u32,
-            remaining: census.tray.iter().map(|object| object.name.clone()).collect(),
-        };
-        known.delivered = arrived;
-        Some(witnessed)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use graspd_cell::observer::Silent;
     use graspd_cell::{Cell, clear_tray};
-    use graspd_sim::object::Object;
-    use nalgebra::Isometry3;
 
     async fn refused(text: &str) -> String {
         let config = CellConfig::parse(text).unwrap();
@@ -500,58 +295,6 @@ mod tests {
             let message = refused(&text).await;
             assert!(message.contains(expected), "{message}\nshould contain\n{expected}");
         }
-    }
-
-    /// What the witness says, and that it adds up to `objects`.
-    async fn says(truth: &SimulatedTruth, before: &mut u32, objects: u32) -> Witnessed {
-        let seen = truth.outcome(1).await.unwrap();
-        *before += seen.delivered;
-        assert_eq!(*before + seen.lost + seen.in_tray + seen.in_hand, objects, "{seen:?}");
-        seen
-    }
-
-    #[tokio::test]
-    async fn what_the_witness_counts_adds_up() {
-        let mut world = World::new(WorldSettings { tray: Some(Tray::default()), ..WorldSettings::default() });
-        let cuboid = |name: &str| Arc::new(Object::cuboid(name, Vector3::new(0.02, 0.02, 0.02)).unwrap());
-        let at = |x: f64, y: f64| Isometry3::translation(x, y, 0.02);
-        let first = world.add(cuboid("first"), &at(0.0, 0.0));
-        let second = world.add(cuboid("second"), &at(0.1, 0.0));
-        let beside = world.add(cuboid("beside"), &at(0.0, 0.35));
-        let (beyond, bin) = (at(-0.3, 0.0), at(0.40, 0.0));
-        let shared = SharedWorld::new(world, SharedWorldSettings::default()).unwrap();
-        let truth = SimulatedTruth::new(&shared).await.unwrap();
-        let place = |id, to: Isometry3<f64>| shared.with(move |world| assert!(world.place(id, &to)));
-        let mut all = 0;
-        let seen = says(&truth, &mut all, 2).await;
-        assert_eq!(
-            (seen.delivered, seen.lost, seen.in_tray),
-            (0, 0, 2),
-            "the third lay beside the tray before"
-        );
-        assert_eq!(seen.remaining, ["first", "second"]);
-        // One leaves the tray, and stays where it is.
-        place(first, beyond).await.unwrap();
-        assert_eq!(says(&truth, &mut all, 2).await.lost, 1);
-        assert_eq!(says(&truth, &mut all, 2).await.lost, 1, "still lost");
-        // It comes back while the other one leaves: one is lost, as before, and it is another one.
-        place(first, at(0.0, 0.0)).await.unwrap();
-        place(second, beyond).await.unwrap();
-        let seen = says(&truth, &mut all, 2).await;
-        assert_eq!((seen.lost, &seen.remaining[..]), (1, &["first".to_owned()][..]));
-        // What was lost is delivered after all.
-        place(second, bin).await.unwrap();
-        let seen = says(&truth, &mut all, 2).await;
-        assert_eq!((seen.delivered, seen.lost, seen.in_tray), (1, 0, 1));
-        assert_eq!(says(&truth, &mut all, 2).await.delivered, 0, "an object arrives once");
-        // What lay beside the tray is the run's from when it picks it up.
-        place(beside, at(0.1, 0.0)).await.unwrap();
-        assert_eq!(says(&truth, &mut all, 3).await.in_tray, 2);
-        place(beside, beyond).await.unwrap();
-        assert_eq!(says(&truth, &mut all, 3).await.lost, 1);
-        // A world that has ended has nothing to tell.
-        let broken = shared.with::<()>(|_| std::panic::resume_unwind(Box::new("a step that fails"))).await;
-        assert_eq!((broken, truth.outcome(1).await), (Err(WorldEnded), None));
     }
 
     #[tokio::test(flavor = "multi_thread")]

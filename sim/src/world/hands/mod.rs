@@ -208,6 +208,14 @@ impl World {
         }
     }
 
+    /// Bounds each actuator alone: shares, 0 to 1, of the force that [`Command::Close`] allows all of them; one per
+    /// actuator, in the hand's order. They hold until they are given anew; at first all are 1. `false` when the hand is
+    /// not there or the shares are not for it.
+    pub fn share_forces(&mut self, id: HandId, shares: &[f64]) -> bool {
+        let placed = self.hands.iter_mut().find(|h| h.id == id);
+        placed.is_some_and(|placed| placed.motors.share_forces(&placed.hand, shares))
+    }
+
     /// Leads the wrist along a path of one's own: where it should be after the next step, and the force with which it
     /// goes there at most, newtons (never more than [`HandSettings::arm_force_n`]). `false` when the hand is not there or a
     /// number is not finite; an infinite force is fine.

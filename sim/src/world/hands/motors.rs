@@ -30,6 +30,8 @@ pub(super) struct Motors {
     /// Share of effort and speed.
     force: f64,
     speed: f64,
+    /// Share of that force which each joint's motor may use.
+    shares: Vec<f64>,
     /// What each joint's motor exerts, in the joint's own terms.
     exerted: Vec<f64>,
     /// Torque handed on to each adaptive joint, smoothed.
@@ -51,6 +53,7 @@ impl Motors {
             references: u.to_vec(),
             force: 1.0,
             speed: 1.0,
+            shares: vec![1.0; joints],
             exerted: vec![0.0; joints],
             handed: vec![0.0; joints],
             latched: vec![None; joints],
@@ -74,6 +77,31 @@ impl Motors {
         (self.force, self.speed) = (force.clamp(0.0, 1.0), speed.clamp(0.01, 1.0));
         self.rest_s = 0.0;
         true
+    }
+
+    /// Bounds the force of each actuator alone; `false` when that does not fit the hand.
+    pub(super) fn share_forces(&mut self, hand: &Hand, shares: &[f64]) -> bool {
+        let good = shares.len() == hand.actuation.actuator_count() && shares.iter().all(|v| v.is_finite());
+        if !good {
+            return false;
+        }
+        let coordinates = hand.actuation.coordinates.iter();
+        let mut given = shares.iter();
+        // What no actuator moves has no bound of its own.
+        let of_coordinate: Vec<f64> = coordinates
+            .map(|c| if c.kind == CoordinateKind::Actuator { given.next().copied() } else { None })
+            .map(|share| share.map_or(1.0, |share| share.clamp(0.0, 1.0)))
+            .collect();
+        for (share, row) in self.shares.iter_mut().zip(&hand.actuation.rows) {
+            let of_terms = row.terms.iter().map(|&(i, _)| of_coordinate[i]);
+            *share = of_terms.reduce(f64::max).unwrap_or(1.0);
+        }
+        true
+    }
+
+    /// Force of a joint's motor as a share of its effort.
+    fn allowed(&self, j: usize) -> f64 {
+        self.force * self.shares[j]
     }
 
     /// Actuator positions from joint positions.
@@ -132,7 +160,7 @@ impl Motors {
         let u = self.coordinates(hand, drives, &q);
         for (j, role) in drives.roles.iter().enumerate() {
             if matches!(role, Role::Lead { .. } | Role::Follower { pulled_by: Some(_), .. }) {
-                body.damp(physics, j, self.damping(&drives.servos[j]));
+                body.damp(physics, j, self.damping(j, &drives.servos[j]));
             }
         }
         self.lead(hand, drives, &u, &speeds, settings, dt);
@@ -171,18 +199,21 @@ impl Motors {
             }
             // A coordinate without a leading joint moves its servos at the speed of a finger.
             let (servo, scale, moves) = match lead {
-                Some(j) => (Some(&drives.servos[*j]), hand.actuation.rows[*j].terms[0].1.abs(), speeds[*j]),
+                Some(j) => {
+                    (Some((*j, &drives.servos[*j])), hand.actuation.rows[*j].terms[0].1.abs(), speeds[*j])
+                }
                 None => (None, 1.0, 0.0),
             };
-            let most = self.speed * servo.map_or(settings.turn_rad_s, |s| s.speed) / scale;
+            let fastest = servo.map_or(settings.turn_rad_s, |(_, s)| s.speed);
+            let most = self.speed * fastest / scale;
             let way = self.targets[i] - self.references[i];
             let mut next = self.references[i] + way.clamp(-most * dt, most * dt);
-            if let Some(servo) = servo {
-                let ahead = self.force * servo.effort / servo.stiffness / scale;
+            if let Some((j, servo)) = servo {
+                let ahead = self.allowed(j) * servo.effort / servo.stiffness / scale;
                 let ahead = 1.2 * ahead + most * settings.servo_time_s + 1e-4;
                 next = next.clamp(u[i] - ahead, u[i] + ahead);
             }
-            let still = moves.abs() < REST * servo.map_or(settings.turn_rad_s, |s| s.speed);
+            let still = moves.abs() < REST * fastest;
             rests &= still && (next - self.references[i]).abs() <= REST * most * dt;
             self.references[i] = next;
         }
@@ -190,8 +221,8 @@ impl Motors {
     }
 
     /// Damping of a motor: less where a small force has to move it at its speed.
-    fn damping(&self, servo: &Servo) -> f64 {
-        servo.damping.min(self.force * servo.effort / (2.0 * self.speed * servo.speed))
+    fn damping(&self, j: usize, servo: &Servo) -> f64 {
+        servo.damping.min(self.allowed(j) * servo.effort / (2.0 * self.speed * servo.speed))
     }
 
     /// A servo's spring for this step.
@@ -204,9 +235,9 @@ impl Motors {
         q: f64,
         speed: f64,
     ) -> (f64, f64) {
-        let most = self.force * servo.effort;
+        let most = self.allowed(j) * servo.effort;
         let wanted = servo.stiffness * (goal - q);
-        self.exerted[j] = wanted.clamp(-most, most) - self.damping(servo) * speed;
+        self.exerted[j] = wanted.clamp(-most, most) - self.damping(j, servo) * speed;
         if wanted.abs() <= most {
             self.latched[j] = None;
             return (servo.stiffness, goal);

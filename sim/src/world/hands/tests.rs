@@ -384,3 +384,28 @@ fn joints_that_mix_coordinates_or_depend_on_none_are_servos() {
     let q = world.hand_state(placed).unwrap().joints;
     assert!((q[finger] - 0.4).abs() < 5e-3 && (q[spread] - 0.2).abs() < 5e-3, "{q:?}");
 }
+
+#[test]
+fn each_motor_keeps_the_force_that_it_alone_may_use() {
+    let hand = library_hand("barrett");
+    let mut world = World::new(WorldSettings::default());
+    // Too heavy to be pushed away by the stronger ones.
+    world.add(cuboid([0.03, 0.03, 0.06], 50.0, 0.5), &Isometry3::translation(0.0, 0.0, 0.06));
+    let placed = world.add_hand(hand.clone(), &above(&hand, 0.06), &hand.actuation.open());
+    let full = world.full_efforts(placed).unwrap();
+    assert!(!world.share_forces(placed, &[1.0]) && !world.share_forces(placed, &vec![f64::NAN; full.len()]));
+    let shares: Vec<f64> = (0..full.len()).map(|i| if i % 2 == 0 { 0.2 } else { 1.0 }).collect();
+    assert!(world.share_forces(placed, &shares));
+    close(&mut world, placed, 0.5);
+    let mut most = vec![0.0_f64; full.len()];
+    for _ in 0..80 {
+        run(&mut world, 0.02);
+        let efforts = world.hand_state(placed).unwrap().efforts;
+        most.iter_mut().zip(efforts).for_each(|(most, now)| *most = most.max(now.abs()));
+    }
+    for (i, most) in most.iter().enumerate() {
+        assert!(*most <= 0.5 * shares[i] * full[i] * 1.3, "{i}: {most} of {full:?}, {shares:?}");
+    }
+    let pressing = (0..full.len()).filter(|i| most[*i] > 0.3 * full[*i]);
+    assert!(pressing.count() > 0, "nothing presses: {most:?} of {full:?}");
+}
