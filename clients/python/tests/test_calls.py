@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import graspd
+from graspd.requests import chosen_id, plan_request
 from tests.conftest import LONG, SOON, Server
 
 ONCE = graspd.RetryPolicy(attempts=1)
@@ -212,3 +213,31 @@ def test_one_planner_serves_many_threads(planner: graspd.Planner, frame: graspd.
     for thread in threads:
         thread.join()
     assert len(found) == 6 and len(set(found)) == 1 and found[0] > 0
+
+
+def test_a_repetition_gets_the_answer_of_the_first(planner: graspd.Planner, frame: graspd.DepthFrame) -> None:
+    options = graspd.PlanOptions(seed=5, priority="high")
+    first = planner.plan(frame, hand="leap", options=options, request_id="once")
+    again = planner.plan(frame, hand="leap", options=options, request_id="once")
+    # Durations and all: nothing was planned anew.
+    assert again.message == first.message
+    anew = planner.plan(frame, hand="leap", options=options)
+    assert anew.message.stats.total_duration != first.message.stats.total_duration
+    with pytest.raises(graspd.InvalidArgumentError) as caught:
+        planner.plan(frame, hand="panda", options=options, request_id="once")
+    assert caught.value.reason == "REQUEST_ID_REUSED" and caught.value.fields == ("request_id",)
+    several = [planner.plan_hands(frame, hands=["leap", "panda"], request_id="both") for _ in range(2)]
+    assert several[0]["panda"].get().message == several[1]["panda"].get().message
+
+
+def test_attempts_of_a_call_share_an_id(frame: graspd.DepthFrame) -> None:
+    ids = {chosen_id(None, graspd.RetryPolicy()) for _ in range(100)}
+    assert len(ids) == 100 and all(0 < len(i) <= 128 for i in ids)
+    assert chosen_id(None, ONCE) == "" and chosen_id("mine", ONCE) == "mine"
+    assert plan_request(frame, None, "leap", None, None, "mine").request_id == "mine"
+
+
+def test_half_an_answer_can_be_refused(planner: graspd.Planner, frame: graspd.DepthFrame) -> None:
+    options = graspd.PlanOptions(batch_size=4096, scheme=(10000, 10000), budget=0.5, require_complete=True)
+    with pytest.raises(graspd.DeadlineExceededError):
+        planner.plan(frame, hand="leap", options=options)
