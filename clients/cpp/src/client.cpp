@@ -30,8 +30,9 @@ std::shared_ptr<grpc::Channel> channel(const Config& config) {
   arguments.SetInt(GRPC_ARG_ENABLE_RETRIES, 0);
   // A server that comes back is found again within the back-off of the retry policy.
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 50);
-  arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 50);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 1000);
+  // Despite its name this is how long one attempt to connect may take, with TLS.
+  arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 1000);
   // Planners stand beside robots; a proxy of the environment does not lead to them.
   arguments.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY, 0);
   const auto credentials = config.credentials ? config.credentials : grpc::InsecureChannelCredentials();

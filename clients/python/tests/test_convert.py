@@ -119,7 +119,7 @@ def test_other_messages(plan: graspd.Plan) -> None:
 
 
 def matrix_quaternion(matrix: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    return np.asarray(Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True))
+    return np.asarray(Rotation.from_matrix(matrix[:3, :3].copy()).as_quat(canonical=True))
 
 
 def camera(encoding: str, pixels: np.ndarray[Any, Any], padding: int = 0) -> tuple[dict[str, Any], dict[str, Any]]:

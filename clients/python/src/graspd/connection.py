@@ -115,8 +115,10 @@ class Settings:
             ("grpc.enable_retries", 0),
             # A server that comes back is found again within the back-off of the retry policy.
             ("grpc.initial_reconnect_backoff_ms", 50),
-            ("grpc.min_reconnect_backoff_ms", 50),
             ("grpc.max_reconnect_backoff_ms", 1000),
+            # Despite its name this is how long one attempt to connect may take, with TLS. Some versions of gRPC lose
+            # attempts at ports that nobody listens at yet: longer ones would keep a server waiting that has started.
+            ("grpc.min_reconnect_backoff_ms", 1000),
             # Planners stand beside robots; a proxy of the environment does not lead to them.
             ("grpc.enable_http_proxy", 0),
         ]

@@ -15,7 +15,8 @@ def rotation(matrix: ArrayLike) -> Rotation:
     >>> float(rotation(pose([1, 2, 3])).magnitude())
     0.0
     """
-    return Rotation.from_matrix(checked_pose(matrix, "matrix")[:3, :3])
+    # A copy: older versions of scipy take no arrays that cannot be written to.
+    return Rotation.from_matrix(checked_pose(matrix, "matrix")[:3, :3].copy())
 
 
 def pose_of(rotation: Rotation, position: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
