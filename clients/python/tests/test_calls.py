@@ -45,9 +45,10 @@ def test_a_deadline_ends_the_work(small_server: Server, frame: graspd.DepthFrame
         plan = planner.plan(frame, hand="leap", options=LONG, timeout=1.5)
         # The best so far came in time.
         assert plan.stats.budget_exhausted and time.monotonic() - began < 3
-        with pytest.raises(graspd.DeadlineExceededError) as caught:
+        # Too late, or refused at once because it would be.
+        with pytest.raises((graspd.DeadlineExceededError, graspd.ResourceExhaustedError)) as caught:
             planner.plan(frame, hand="leap", options=LONG, timeout=0.004)
-        assert caught.value.reason == "DEADLINE_EXCEEDED" and isinstance(caught.value, TimeoutError)
+        assert caught.value.reason in ("DEADLINE_EXCEEDED", "CANNOT_FINISH")
         with pytest.raises(TimeoutError):
             planner.plan(frame, hand="leap", timeout=-1.0)
     answers_soon(small_server, frame)
