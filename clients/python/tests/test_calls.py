@@ -162,7 +162,7 @@ def test_a_full_queue_says_when_to_come_back(small_server: Server, frame: graspd
     patient = graspd.RetryPolicy(attempts=200)
     with (
         graspd.connect(small_server.address, timeout=300, retry=ONCE) as planner,
-        graspd.connect(small_server.address, timeout=60, retry=patient) as other,
+        graspd.connect(small_server.address, timeout=3600, retry=patient) as other,
     ):
         # The first of two may not have begun when the second comes.
         running = [other.stream(frame, hand="leap", options=LONG) for _ in range(2)]
