@@ -1,7 +1,7 @@
 //! Time and cancellation of a call: when it arrived, when its answer is due, and whether anybody still waits.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use graspd_planner::budget::{Budget, Stop};
@@ -91,12 +91,39 @@ pub(crate) fn parse_timeout(text: &str) -> Option<Duration> {
     })
 }
 
+/// Whether work was cancelled, and when: nanoseconds since the first look at [`base`], plus one; 0 if it was not.
+#[derive(Debug, Default)]
+struct Cancelled(AtomicU64);
+
+impl Cancelled {
+    fn set(&self) {
+        let at = u64::try_from(base().elapsed().as_nanos()).unwrap_or(u64::MAX - 1) + 1;
+        // The first counts.
+        self.0.compare_exchange(0, at, Ordering::Relaxed, Ordering::Relaxed).ok();
+    }
+
+    fn is_set(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != 0
+    }
+
+    fn since(&self) -> Option<Duration> {
+        let at = self.0.load(Ordering::Relaxed).checked_sub(1)?;
+        Some(base().elapsed().saturating_sub(Duration::from_nanos(at)))
+    }
+}
+
+/// What moments of cancellation count from.
+fn base() -> Instant {
+    static BASE: OnceLock<Instant> = OnceLock::new();
+    *BASE.get_or_init(Instant::now)
+}
+
 /// The budget of a call's work, or of one hand's share of it. Clones share the cancellation.
 #[derive(Debug, Clone)]
 pub struct CallBudget {
     start: Instant,
     deadline: Option<Instant>,
-    cancelled: Arc<AtomicBool>,
+    cancelled: Arc<Cancelled>,
     /// Set when the whole server ends.
     aborted: Arc<AtomicBool>,
 }
@@ -133,7 +160,17 @@ impl CallBudget {
 
     /// Cancels this work and every clone of it.
     pub fn cancel(&self) {
-        self.cancelled.store(true, Ordering::Relaxed);
+        self.cancelled.set();
+    }
+
+    /// True once it was cancelled.
+    pub fn is_cancelled(&self) -> bool {
+        self.cancelled.is_set()
+    }
+
+    /// How long ago it was cancelled, if it was.
+    pub fn cancelled_for(&self) -> Option<Duration> {
+        self.cancelled.since()
     }
 
     /// Cancels when the guard is dropped: whoever waits for the work holds it.
@@ -149,7 +186,7 @@ impl Budget for CallBudget {
     }
 
     fn stop(&self) -> Option<Stop> {
-        if self.cancelled.load(Ordering::Relaxed) || self.aborted.load(Ordering::Relaxed) {
+        if self.cancelled.is_set() || self.aborted.load(Ordering::Relaxed) {
             return Some(Stop::Cancelled);
         }
         match self.deadline {
@@ -161,11 +198,11 @@ impl Budget for CallBudget {
 
 /// Cancels a call's work when it is dropped.
 #[derive(Debug)]
-pub struct CancelOnDrop(Arc<AtomicBool>);
+pub struct CancelOnDrop(Arc<Cancelled>);
 
 impl Drop for CancelOnDrop {
     fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.0.set();
     }
 }
 

@@ -1,7 +1,7 @@
 //! From a checked request to answers: one scene and one inference per request, then one job for each hand.
 
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use graspd_hands::Hand;
@@ -9,15 +9,23 @@ use graspd_planner::budget::{Budget as _, Stop};
 use graspd_planner::estimator::ContactEstimator;
 use graspd_planner::grasp::Plan;
 use graspd_planner::grid::{GridError, MAX_RESOLUTION, MAX_SIZE_M, MIN_RESOLUTION, MIN_SIZE_M};
+use graspd_planner::options::{PlanOptions, Scheme};
 use graspd_planner::scene::{self, Scene, SceneError};
 use graspd_proto::v1;
 
+use crate::answers::{Answers, Joined, RequestKey};
+use crate::caller::Caller;
 use crate::convert::{HandJob, PlanContext, SceneRequest, out_of_time_response, plan_response};
 use crate::deadline::{CallBudget, CallClock, Overrun};
 use crate::error::{FieldError, FieldReason, ServiceError};
+use crate::estimates::{Estimates, SceneKind};
 use crate::estimators::Estimators;
-use crate::pool::{Pool, PoolError, SceneRoom, Ticket};
+use crate::pool::{Estimate, Flow, Order, Pool, PoolError, Priority, SceneRoom, Ticket, Turn};
 use crate::registry::Registry;
+use crate::scenes::{Scenes, SharedScene};
+
+/// Iterations that an answer needs to be worth having, where the caller takes the best so far.
+const LEAST_ITERATIONS: usize = 20;
 
 /// What every call shares.
 #[derive(Debug)]
@@ -32,6 +40,12 @@ pub(crate) struct Engine {
     pub(crate) aborted: Arc<AtomicBool>,
     /// How far jobs run past their end.
     pub(crate) overrun: Arc<Overrun>,
+    /// How long jobs take.
+    pub(crate) estimates: Arc<Estimates>,
+    /// Scenes that calls share.
+    pub(crate) scenes: Scenes,
+    /// Answers by request id.
+    pub(crate) answers: Arc<Answers>,
 }
 
 /// A hand's answer.
@@ -44,11 +58,32 @@ pub(crate) type OnBetter = Box<dyn FnMut(v1::PlanGraspsResponse) + Send>;
 #[derive(Clone)]
 pub(crate) struct Call {
     clock: CallClock,
+    caller: Flow,
     /// Ends with the call; jobs take their share of it.
     pub(crate) budget: CallBudget,
+    shared: Arc<SharedScene>,
     scene: Arc<SceneRequest>,
     estimator: Arc<dyn ContactEstimator>,
     overrun: Arc<Overrun>,
+    estimates: Arc<Estimates>,
+    /// How long the call's first job waited, where others continue it.
+    scene_queued: Arc<OnceLock<Duration>>,
+}
+
+/// A request that may be repeated: its name, and what was asked.
+#[derive(Debug, Clone)]
+pub(crate) struct Repeatable {
+    /// Its name.
+    pub(crate) key: RequestKey,
+    /// A hash of the request.
+    pub(crate) asked: u64,
+}
+
+impl Repeatable {
+    /// The same for one of its tasks.
+    pub(crate) fn task(&self, task: &Task) -> Self {
+        Self { key: RequestKey { task_id: task.id().to_owned(), ..self.key.clone() }, asked: self.asked }
+    }
 }
 
 /// What one hand's job needs.
@@ -72,18 +107,33 @@ pub(crate) struct ReadScene {
     /// Stages before those that the scene itself has timed.
     stages: Vec<(&'static str, Duration)>,
     invalid_pixels: usize,
-    queued: Duration,
     /// Given back when the last job of the call lets go of the scene.
     _room: SceneRoom,
 }
 
 impl Engine {
     /// A call with its scene; unknown estimators are found before anything is queued.
-    pub(crate) fn call(&self, clock: CallClock, scene: SceneRequest) -> Result<Call, ServiceError> {
+    pub(crate) fn call(
+        &self,
+        clock: CallClock,
+        caller: &Caller,
+        scene: SceneRequest,
+    ) -> Result<Call, ServiceError> {
         let estimator = self.estimators.get(scene.estimator.as_deref())?;
         let budget = self.budget(&clock);
-        let overrun = Arc::clone(&self.overrun);
-        Ok(Call { clock, budget, scene: Arc::new(scene), estimator, overrun })
+        let scene = Arc::new(scene);
+        let shared = self.scenes.get(&scene, Arc::clone(&estimator));
+        Ok(Call {
+            clock,
+            caller: caller.flow,
+            budget,
+            shared,
+            scene,
+            estimator,
+            overrun: Arc::clone(&self.overrun),
+            estimates: Arc::clone(&self.estimates),
+            scene_queued: Arc::default(),
+        })
     }
 
     /// The budget of a call's work.
@@ -107,9 +157,12 @@ impl Engine {
         let (job_call, job_task) = (call.clone(), task.clone());
         let budget = call.budget.within(task.job.budget);
         let job_budget = budget.clone();
-        let ticket = self.pool.submit_scene(&budget, call.scene.room(), move |queued, room| {
-            match job_call.read_scene(&job_budget, queued, room) {
-                Ok(read) => job_call.plan(&read, Duration::ZERO, &job_task, &job_budget, on_better),
+        let order = call.order(std::slice::from_ref(task), call.scene_time());
+        call.shared.want(&budget);
+        let gate = Arc::clone(&call.shared) as Arc<dyn crate::pool::Gate>;
+        let ticket = self.pool.submit(&budget, &order, Some(gate), move |mut turn| {
+            match job_call.read_scene(&mut turn) {
+                Ok(read) => job_call.plan(&read, &turn, &job_task, &job_budget, on_better),
                 Err(error) => job_call.without_scene(error, &job_task),
             }
         });
@@ -125,9 +178,13 @@ impl Engine {
         // The scene may take as long as the most patient task.
         let longest = tasks.iter().map(|t| t.job.budget).reduce(|a, b| Some(a?.max(b?))).flatten();
         let budget = call.budget.within(longest);
-        let (job_call, job_budget) = (call.clone(), budget.clone());
-        let ticket = self.pool.submit_scene(&budget, call.scene.room(), move |queued, room| {
-            job_call.read_scene(&job_budget, queued, room).map(Arc::new)
+        let order = Order { hand: Flow(0), ..call.order(tasks, call.scene_time()) };
+        let job_call = call.clone();
+        call.shared.want(&budget);
+        let gate = Arc::clone(&call.shared) as Arc<dyn crate::pool::Gate>;
+        let ticket = self.pool.submit(&budget, &order, Some(gate), move |mut turn| {
+            job_call.scene_queued.set(turn.queued).ok();
+            job_call.read_scene(&mut turn)
         });
         ticket.map_err(|e| call.pool_error(&e))
     }
@@ -142,10 +199,32 @@ impl Engine {
         let (job_call, job_read, job_task) = (call.clone(), Arc::clone(read), task.clone());
         let budget = call.budget.within(task.job.budget);
         let job_budget = budget.clone();
-        let ticket = self.pool.submit_continuation(&budget, move |queued| {
-            job_call.plan(&job_read, queued, &job_task, &job_budget, None)
+        let order = call.order(std::slice::from_ref(task), Duration::ZERO);
+        let ticket = self.pool.submit_continuation(&budget, &order, move |turn| {
+            job_call.plan(&job_read, &turn, &job_task, &job_budget, None)
         });
         ticket.map_err(|e| call.pool_error(&e))
+    }
+
+    /// Plans once for all calls with the same request id: leads, or gets the answer of the one that does.
+    pub(crate) async fn once<P>(&self, repeatable: Option<&Repeatable>, plan: P) -> Answer
+    where
+        P: AsyncFnOnce() -> Answer,
+    {
+        let Some(Repeatable { key, asked }) = repeatable else { return plan().await };
+        loop {
+            match self.answers.join(key, *asked) {
+                Joined::Lead(leader) => {
+                    let answer = plan().await?;
+                    leader.answer(&answer);
+                    return Ok(answer);
+                }
+                // Closed when the leader has ended, which is all there is to learn.
+                Joined::Follow(mut ended) => drop(ended.changed().await),
+                Joined::Answered(answer) => return Ok((*answer).clone()),
+                Joined::Reused => return Err(ServiceError::RequestIdReused),
+            }
+        }
     }
 
     /// Waits for a task's answer.
@@ -204,25 +283,80 @@ impl Call {
 
     /// The error of a job without a result.
     fn pool_error(&self, error: &PoolError) -> ServiceError {
-        match error {
-            PoolError::Full { waiting, limit, retry_after } => {
-                ServiceError::QueueFull { waiting: *waiting, limit: *limit, retry_after: *retry_after }
-            }
-            PoolError::Expired => self.late("in the queue"),
-            PoolError::Cancelled => ServiceError::Cancelled,
-            PoolError::Panicked => ServiceError::JobPanicked,
-            PoolError::Closed => ServiceError::Draining,
-            PoolError::Threads(_) => ServiceError::Internal { what: error.to_string() },
+        ServiceError::of_pool(error, || self.clock.elapsed())
+    }
+
+    /// What the scheduler is told of these tasks together, where the scene takes that long.
+    fn order(&self, tasks: &[Task], scene: Duration) -> Order {
+        let mut estimate = Estimate { least: scene, expected: scene };
+        for task in tasks {
+            let job = &task.job;
+            let search = |iterations| self.estimates.search(&task.hand.id, job.options.batch, iterations);
+            let whole = job.options.scheme.iterations;
+            let (least, expected) = match (job.scheme_is_fixed, job.require_complete) {
+                (true, true) => (search(whole), search(whole)),
+                (true, false) => (search(whole.min(LEAST_ITERATIONS)), search(whole)),
+                (false, _) => (search(Scheme::QUICK.iterations), search(Scheme::QUICK.iterations)),
+            };
+            estimate.least += least;
+            estimate.expected += expected;
+        }
+        // A budget of the caller's own is spent as well as it can be: refused is only what would not begin in it.
+        if tasks.iter().any(|task| task.job.budget.is_some() && !self.call_ends_first(task)) {
+            estimate.least = Duration::ZERO;
+        }
+        Order {
+            priority: tasks.iter().map(|t| t.job.priority).max().unwrap_or(Priority::Normal),
+            caller: self.caller,
+            hand: tasks.first().map_or(Flow(0), |t| Caller::number(&t.hand.id)),
+            estimate,
         }
     }
 
-    /// Decodes the frames and prepares the scene; on a planning thread.
-    fn read_scene(
-        &self,
-        budget: &CallBudget,
-        queued: Duration,
-        room: SceneRoom,
-    ) -> Result<ReadScene, ServiceError> {
+    /// How long the scene will take to read: nothing if another call has it already.
+    fn scene_time(&self) -> Duration {
+        if self.shared.is_unread() { self.estimates.scene(&self.scene_kind()) } else { Duration::ZERO }
+    }
+
+    fn scene_kind(&self) -> SceneKind {
+        SceneKind {
+            estimator: self.estimator.name().to_owned(),
+            resolution: self.scene.options.grid.resolution,
+            pixels_log2: self.scene.pixel_count().max(1).ilog2(),
+        }
+    }
+
+    /// The options of a task: where the caller left the scheme open, the largest that fits before the deadline and
+    /// lets waiting calls meet theirs.
+    fn options(&self, task: &Task, turn: &Turn, began: Instant, budget: &CallBudget) -> PlanOptions {
+        let options = &task.job.options;
+        let needs = |s: Scheme| self.estimates.search(&task.hand.id, options.batch, s.iterations);
+        let scheme = match budget.deadline() {
+            Some(deadline) if !task.job.scheme_is_fixed => {
+                let left = deadline.saturating_duration_since(Instant::now());
+                let fits = |s: &Scheme| needs(*s) <= left && turn.has_time(needs(*s));
+                [Scheme::THOROUGH, Scheme::BALANCED].into_iter().find(fits).unwrap_or(Scheme::QUICK)
+            }
+            _ => options.scheme,
+        };
+        turn.expect(began.elapsed() + needs(scheme));
+        PlanOptions { scheme, ..options.clone() }
+    }
+
+    /// The scene: the one that another call has read, or read now. On a planning thread.
+    fn read_scene(&self, turn: &mut Turn) -> Result<Arc<ReadScene>, ServiceError> {
+        if let Some(read) = self.shared.read() {
+            return Ok(read);
+        }
+        let reading = self.shared.reading();
+        let read = self.prepare(&reading, turn.take_room()).map(|read| reading.done(read));
+        // Whoever waited for it goes on, or reads it in this one's place.
+        turn.wake_others();
+        read
+    }
+
+    /// Decodes the frames and prepares the scene.
+    fn prepare(&self, budget: &crate::scenes::Reading, room: SceneRoom) -> Result<ReadScene, ServiceError> {
         let began = Instant::now();
         let mut frames = Vec::with_capacity(self.scene.frames.len());
         let mut invalid_pixels = 0;
@@ -234,7 +368,8 @@ impl Call {
         let stages = vec![("decode", began.elapsed())];
         let scene = scene::prepare(&frames, &self.scene.options, self.estimator.as_ref(), budget)
             .map_err(|error| self.scene_error(&error))?;
-        Ok(ReadScene { scene, stages, invalid_pixels, queued, _room: room })
+        self.estimates.observe_scene(self.scene_kind(), began.elapsed());
+        Ok(ReadScene { scene, stages, invalid_pixels, _room: room })
     }
 
     fn scene_error(&self, error: &SceneError) -> ServiceError {
@@ -252,15 +387,20 @@ impl Call {
     fn plan(
         &self,
         read: &ReadScene,
-        queued: Duration,
+        turn: &Turn,
         task: &Task,
         budget: &CallBudget,
         on_better: Option<OnBetter>,
     ) -> Answer {
+        if budget.stop() == Some(Stop::Cancelled) {
+            return Err(ServiceError::Cancelled);
+        }
+        let began = Instant::now();
+        let options = self.options(task, turn, began, budget);
         let context = |elapsed| PlanContext {
             stages: &read.stages,
             invalid_pixels: read.invalid_pixels,
-            queued: read.queued + queued,
+            queued: self.scene_queued.get().copied().unwrap_or_default() + turn.queued,
             elapsed,
             ..self.context(task)
         };
@@ -272,16 +412,19 @@ impl Call {
         let plan = graspd_planner::plan::plan(
             &read.scene,
             &task.hand,
-            &task.job.options,
+            &options,
             budget,
             tell.as_mut().map(|tell| tell as &mut dyn FnMut(&Plan)),
         );
         if let (Some(Stop::Deadline), Some(deadline)) = (plan.stats.stopped, budget.deadline()) {
             self.overrun.observe(deadline);
         }
+        self.estimates.observe_search(&task.hand.id, &plan.stats);
         match plan.stats.stopped {
             Some(Stop::Cancelled) => Err(ServiceError::Cancelled),
-            Some(Stop::Deadline) if plan.grasps.is_empty() && self.call_ends_first(task) => {
+            Some(Stop::Deadline)
+                if task.job.require_complete || (plan.grasps.is_empty() && self.call_ends_first(task)) =>
+            {
                 Err(self.late("while grasps were searched"))
             }
             _ => Ok(plan_response(&plan, workspace, &context(budget.elapsed()))),
@@ -290,7 +433,8 @@ impl Call {
 
     /// The answer of a task that has no scene: where the caller's own budget ended it, that is an answer.
     pub(crate) fn without_scene(&self, error: ServiceError, task: &Task) -> Answer {
-        if matches!(error, ServiceError::Deadline { .. }) && !self.call_ends_first(task) {
+        let late = matches!(error, ServiceError::Deadline { .. });
+        if late && !self.call_ends_first(task) && !task.job.require_complete {
             return Ok(out_of_time_response(&self.context(task)));
         }
         Err(error)

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::time::Duration;
 
+use crate::pool::PoolError;
+
 /// Why one field of a request was refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{field}: found {found}, expected {expected}")]
@@ -156,6 +158,27 @@ pub enum ServiceError {
     /// Nobody waits for the answer any more.
     #[error("the call was cancelled")]
     Cancelled,
+    /// The call would not be done before its deadline, or others would not be for it.
+    #[error("the server is busy: the call needs about {needs:?} from now and {} to finish in; try again in {retry_after:?}", has(.left))]
+    CannotFinish {
+        /// How long it would take, what is before it included.
+        needs: Duration,
+        /// How long it has; zero where calls that wait already would be late for it.
+        left: Duration,
+        /// When it could.
+        retry_after: Duration,
+    },
+    /// A more urgent call took its place.
+    #[error(
+        "the server is busy: a more urgent call took the place of this one; try again in {retry_after:?}"
+    )]
+    Shed {
+        /// When a place is likely to be free.
+        retry_after: Duration,
+    },
+    /// The id of the request was used for another one.
+    #[error("request_id: found one that was used for another request, expected a new one for each request")]
+    RequestIdReused,
     /// The server is shutting down.
     #[error("the server is shutting down")]
     Draining,
@@ -195,6 +218,26 @@ pub enum ServiceError {
     },
 }
 
+impl ServiceError {
+    /// The error of a job without a result; `elapsed` is the time since its call arrived.
+    pub(crate) fn of_pool(error: &PoolError, elapsed: impl FnOnce() -> Duration) -> Self {
+        match *error {
+            PoolError::Full { waiting, limit, retry_after } => {
+                Self::QueueFull { waiting, limit, retry_after }
+            }
+            PoolError::CannotFinish { needs, left, retry_after } => {
+                Self::CannotFinish { needs, left, retry_after }
+            }
+            PoolError::Shed { retry_after } => Self::Shed { retry_after },
+            PoolError::Expired => Self::Deadline { elapsed: elapsed(), stage: "in the queue" },
+            PoolError::Cancelled => Self::Cancelled,
+            PoolError::Panicked => Self::JobPanicked,
+            PoolError::Closed => Self::Draining,
+            PoolError::Threads(_) => Self::Internal { what: error.to_string() },
+        }
+    }
+}
+
 /// One thing that is wrong with a hand's files.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HandProblem {
@@ -210,6 +253,10 @@ fn problems_line(problems: &[HandProblem], more: usize) -> String {
         line.push(format!("and {more} more problems"));
     }
     line.join("; ")
+}
+
+fn has(left: &Duration) -> String {
+    if left.is_zero() { "waiting calls leave no time".to_owned() } else { format!("has {left:?}") }
 }
 
 const MESSAGE_SIZE_ADVICE: &str = "send depth as 16-bit pixels or PNG, or raise the server's limit";

@@ -11,9 +11,13 @@ pub mod pool;
 pub mod registry;
 pub mod status;
 
+mod answers;
+mod caller;
 mod convert;
 mod deadline;
 mod engine;
+mod estimates;
+mod scenes;
 mod serve;
 mod service;
 

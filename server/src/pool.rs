@@ -1,32 +1,37 @@
 //! The planning pool: where CPU work runs, so that no thread of the network runtime ever plans.
 //!
 //! A few slots each run one job at a time on a rayon pool of their own. (In one shared rayon pool a waiting
-//! job could steal a whole other job and finish after its own deadline.) In front of the slots sits a short
-//! queue, ordered by deadline: a long one would only make every answer late. A job whose caller is gone, or
-//! whose deadline has passed, leaves the queue without running. A job that panics answers
+//! job could steal a whole other job and finish after its own deadline.) Which job begins, waits or is refused is
+//! the [scheduler's](graspd_scheduler) decision; the pool is its clock and its threads. A job whose caller is gone
+//! leaves the queue at once, one whose deadline passes at that moment. A job that panics answers
 //! [`PoolError::Panicked`]; the slot goes on.
 //!
 //! Scenes are what takes memory, and they outlive the job that reads them. So a job that reads a scene waits
 //! until there is [room](SceneRoom) for it, and jobs that continue a call keep the call's place in the queue:
 //! what has a scene is finished before another scene is read.
 
-mod queue;
+mod gate;
 mod room;
 mod slot;
+mod ticket;
 
+pub use gate::{Gate, Look};
+pub use graspd_scheduler::{Estimate, Flow, Priority};
 pub use room::SceneRoom;
+pub use ticket::{Ticket, Turn};
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use graspd_planner::budget::Budget as _;
+use graspd_scheduler::{Ask, Config, Refusal, Refused, Scheduler};
 use tokio::sync::oneshot;
 
 use crate::deadline::CallBudget;
-use queue::{Job, Kind, Refuse, Run, State, calls_waiting, refuse_dead, take_dead};
-use slot::{Shared, run_slot};
+use slot::{Job, Refuse, Run, Shared, State, run_slot};
 
-/// A job without a deadline is queued as if it had this much time, so that it is not overtaken for ever.
+/// A job without a deadline is ordered as if it had this much time.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Size of a pool.
@@ -36,6 +41,8 @@ pub struct PoolConfig {
     pub threads: usize,
     /// Jobs that run at the same time.
     pub slots: usize,
+    /// Slots beyond these that only servo jobs take.
+    pub servo_slots: usize,
     /// Calls that may wait.
     pub queue: usize,
     /// Room for scenes that are alive at the same time; a scene of the default size takes 1, and one that
@@ -45,10 +52,10 @@ pub struct PoolConfig {
 
 impl PoolConfig {
     /// The default for a machine with that many cores: all cores for each job, and up to four jobs at a
-    /// time, because the stages of a job do not all use every core.
+    /// time, because the stages of a job do not all use every core. One slot more for servo work.
     pub fn for_cores(cores: usize) -> Self {
         let threads = cores.max(1);
-        Self { threads, slots: threads.min(4), queue: 16, scene_room: 3 }
+        Self { threads, slots: threads.min(4), servo_slots: 1, queue: 16, scene_room: 3 }
     }
 }
 
@@ -62,6 +69,22 @@ pub enum PoolError {
         waiting: usize,
         /// At most so many.
         limit: usize,
+        /// When a place is likely to be free.
+        retry_after: Duration,
+    },
+    /// It would not be done before its deadline, or others would not be for it.
+    #[error("needs {needs:?} and has {left:?}")]
+    CannotFinish {
+        /// How long it would take from now, what is before it included.
+        needs: Duration,
+        /// How long it has.
+        left: Duration,
+        /// When it could.
+        retry_after: Duration,
+    },
+    /// It lost its place to a more urgent job.
+    #[error("lost its place to a more urgent job")]
+    Shed {
         /// When a place is likely to be free.
         retry_after: Duration,
     },
@@ -82,21 +105,23 @@ pub enum PoolError {
     Threads(String),
 }
 
-/// A job in the queue or at work.
-#[derive(Debug)]
-pub struct Ticket<T> {
-    /// Jobs before it when it was queued.
-    pub position: usize,
-    receiver: oneshot::Receiver<Result<T, PoolError>>,
+/// What the scheduler wants to know of a job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Order {
+    /// How urgent it is.
+    pub priority: Priority,
+    /// Who asks.
+    pub caller: Flow,
+    /// For which hand.
+    pub hand: Flow,
+    /// How long it will take.
+    pub estimate: Estimate,
 }
 
-impl<T> Ticket<T> {
-    /// Waits for the end of the job.
-    ///
-    /// # Errors
-    /// [`PoolError`] when the job has no result.
-    pub async fn wait(&mut self) -> Result<T, PoolError> {
-        (&mut self.receiver).await.unwrap_or(Err(PoolError::Closed))
+impl Order {
+    /// A short job for no hand.
+    pub fn brief(caller: Flow) -> Self {
+        Self { priority: Priority::Normal, caller, hand: Flow(0), estimate: Estimate::default() }
     }
 }
 
@@ -117,18 +142,26 @@ impl std::fmt::Debug for Pool {
 }
 
 impl Pool {
-    /// Starts the threads of a pool. Numbers under 1 are taken as 1; a queue of 0 takes a job only when a
-    /// slot is free.
+    /// Starts the threads of a pool. Fewer than one thread or slot are taken as one; a queue of 0 takes a job only
+    /// when a slot is free.
     ///
     /// # Errors
     /// [`PoolError::Threads`] when the system refuses a thread.
     pub fn start(config: PoolConfig) -> Result<Self, PoolError> {
+        let scheduler = Scheduler::new(Config {
+            slots: config.slots,
+            servo_slots: config.servo_slots,
+            queue: config.queue,
+            patience: PATIENCE,
+        });
         let shared = Arc::new(Shared {
-            state: Mutex::new(State { mean_run_s: 0.1, ..State::default() }),
+            epoch: Instant::now(),
+            state: Mutex::new(State { scheduler, room_taken: 0, closed: false }),
             wake: Condvar::new(),
+            slowest_release_us: Default::default(),
         });
         let pool = Self { shared: Arc::clone(&shared), config };
-        for slot in 0..config.slots.max(1) {
+        for slot in 0..config.slots.max(1) + config.servo_slots {
             let rayon = rayon::ThreadPoolBuilder::new()
                 .num_threads(config.threads.max(1))
                 .thread_name(move |i| format!("plan-{slot}-{i}"))
@@ -144,30 +177,23 @@ impl Pool {
         Ok(pool)
     }
 
-    /// Queues a job, which is told how long it waited; parallel iterators inside it use its slot's threads.
+    /// Queues a job; parallel iterators inside it use its slot's threads. With a gate it begins when the gate lets
+    /// it, and gets the room that the gate asks for.
     ///
     /// # Errors
-    /// [`PoolError::Full`] when no more jobs may wait, [`PoolError::Closed`] when the pool has ended.
-    pub fn submit<T, F>(&self, budget: &CallBudget, job: F) -> Result<Ticket<T>, PoolError>
+    /// [`PoolError::Full`], [`PoolError::CannotFinish`], [`PoolError::Closed`].
+    pub fn submit<T, F>(
+        &self,
+        budget: &CallBudget,
+        order: &Order,
+        gate: Option<Arc<dyn Gate>>,
+        job: F,
+    ) -> Result<Ticket<T>, PoolError>
     where
         T: Send + 'static,
-        F: FnOnce(Duration) -> T + Send + 'static,
+        F: FnOnce(Turn) -> T + Send + 'static,
     {
-        self.enqueue(budget, Kind::First { room: 0 }, |queued, _| job(queued))
-    }
-
-    /// Queues a job that reads a scene. It begins when there is room for the scene, and gets the room: the
-    /// scene is to keep it for as long as it lives.
-    ///
-    /// # Errors
-    /// As [`Pool::submit`].
-    pub fn submit_scene<T, F>(&self, budget: &CallBudget, room: usize, job: F) -> Result<Ticket<T>, PoolError>
-    where
-        T: Send + 'static,
-        F: FnOnce(Duration, SceneRoom) -> T + Send + 'static,
-    {
-        let room = room.min(self.config.scene_room.max(1));
-        self.enqueue(budget, Kind::First { room }, job)
+        self.enqueue(budget, order, gate, false, job)
     }
 
     /// Queues a job that continues a call that was admitted: it may wait even where a new one may not, and
@@ -175,22 +201,33 @@ impl Pool {
     ///
     /// # Errors
     /// [`PoolError::Closed`] when the pool has ended.
-    pub fn submit_continuation<T, F>(&self, budget: &CallBudget, job: F) -> Result<Ticket<T>, PoolError>
+    pub fn submit_continuation<T, F>(
+        &self,
+        budget: &CallBudget,
+        order: &Order,
+        job: F,
+    ) -> Result<Ticket<T>, PoolError>
     where
         T: Send + 'static,
-        F: FnOnce(Duration) -> T + Send + 'static,
+        F: FnOnce(Turn) -> T + Send + 'static,
     {
-        self.enqueue(budget, Kind::Continuation, |queued, _| job(queued))
+        self.enqueue(budget, order, None, true, job)
     }
 
     /// Jobs that wait.
     pub fn waiting(&self) -> usize {
-        self.shared.lock().waiting.len()
+        self.shared.lock().scheduler.waiting()
+    }
+
+    /// Jobs that wait, by priority.
+    pub fn waiting_by_priority(&self) -> [usize; 4] {
+        let state = self.shared.lock();
+        Priority::ALL.map(|p| state.scheduler.waiting_asks().filter(|ask| ask.priority == p).count())
     }
 
     /// Jobs that run.
     pub fn running(&self) -> usize {
-        self.shared.lock().running
+        self.shared.lock().scheduler.running()
     }
 
     /// Room that the scenes take that are alive.
@@ -198,13 +235,22 @@ impl Pool {
         self.shared.lock().room_taken
     }
 
+    /// The longest that a job has run on after it was cancelled.
+    pub fn slowest_release(&self) -> Duration {
+        Duration::from_micros(self.shared.slowest_release_us.load(std::sync::atomic::Ordering::Relaxed))
+    }
+
+    /// How the pool is set up.
+    pub fn config(&self) -> &PoolConfig {
+        &self.config
+    }
+
     /// Answers and removes every waiting job that was cancelled or whose deadline has passed.
     pub fn drop_dead(&self) {
-        let mut dead = Vec::new();
-        take_dead(&mut self.shared.lock(), &mut dead);
+        let dead = self.shared.lock().take_dead(self.shared.now());
         // A job that waited for room may have been in the way of others.
         self.shared.wake.notify_all();
-        dead.into_iter().for_each(refuse_dead);
+        dead.into_iter().for_each(Job::refuse_dead);
     }
 
     /// Refuses every waiting job and every new one; running jobs end by themselves.
@@ -212,7 +258,7 @@ impl Pool {
         let refused = {
             let mut state = self.shared.lock();
             state.closed = true;
-            std::mem::take(&mut state.waiting)
+            state.scheduler.clear()
         };
         self.shared.wake.notify_all();
         for (_, job) in refused {
@@ -220,69 +266,105 @@ impl Pool {
         }
     }
 
-    fn enqueue<T, F>(&self, budget: &CallBudget, kind: Kind, job: F) -> Result<Ticket<T>, PoolError>
+    fn enqueue<T, F>(
+        &self,
+        budget: &CallBudget,
+        order: &Order,
+        gate: Option<Arc<dyn Gate>>,
+        continues: bool,
+        job: F,
+    ) -> Result<Ticket<T>, PoolError>
     where
         T: Send + 'static,
-        F: FnOnce(Duration, SceneRoom) -> T + Send + 'static,
+        F: FnOnce(Turn) -> T + Send + 'static,
     {
-        let arrived = Instant::now();
+        let queued_at = Instant::now();
         let (sender, receiver) = oneshot::channel();
-        let sender = Arc::new(Mutex::new(Some(sender)));
-        let answer = {
-            let sender = Arc::clone(&sender);
-            move |result: Result<T, PoolError>| {
-                if let Some(sender) = sender.lock().unwrap_or_else(PoisonError::into_inner).take() {
-                    // The caller may be gone; then nobody needs the result.
-                    sender.send(result).ok();
-                }
-            }
+        let (run, refuse) = both_ends(sender, queued_at, job);
+        let shared = &self.shared;
+        if budget.stop().is_some() {
+            let dead = Job { budget: budget.clone(), gate, run, refuse };
+            dead.refuse_dead();
+            return Ok(Ticket::new(0, None, Arc::clone(shared), receiver));
+        }
+        let ask = Ask {
+            priority: order.priority,
+            caller: order.caller,
+            hand: order.hand,
+            arrived: shared.time(budget.start()),
+            deadline: budget.deadline().map(|d| shared.time(d)),
+            estimate: order.estimate,
         };
-        let refuse: Refuse = {
-            let answer = answer.clone();
-            Box::new(move |error| answer(Err(error)))
-        };
-        let run: Run = Box::new(move |rayon, room| {
-            let queued = arrived.elapsed();
-            let result = catch_unwind(AssertUnwindSafe(|| rayon.install(|| job(queued, room))));
-            answer(result.map_err(|panic| {
-                let said = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
-                let said = said.or_else(|| panic.downcast_ref::<String>().cloned());
-                tracing::error!(panic = said.unwrap_or_default(), "planning job panicked");
-                PoolError::Panicked
-            }));
-        });
-
-        let mut dead = Vec::new();
-        let mut state = self.shared.lock();
+        let payload = Job { budget: budget.clone(), gate, run, refuse };
+        let mut state = shared.lock();
         if state.closed {
             return Err(PoolError::Closed);
         }
-        let limited = kind != Kind::Continuation;
-        let free_slots = self.config.slots.max(1).saturating_sub(state.running);
-        if limited && calls_waiting(&state) >= self.config.queue + free_slots {
-            take_dead(&mut state, &mut dead);
-        }
-        let waiting = calls_waiting(&state);
-        let result = if limited && waiting >= self.config.queue + free_slots {
-            let rounds = (state.waiting.len() + 1) as f64 / self.config.slots.max(1) as f64;
-            let retry_after = Duration::from_secs_f64((state.mean_run_s * rounds).clamp(0.01, 30.0));
-            Err(PoolError::Full { waiting, limit: self.config.queue, retry_after })
+        let now = shared.now();
+        // Dead jobs hold no places.
+        let dead = state.take_dead(now);
+        let done = if continues {
+            Ok((state.scheduler.continue_call(now, ask, payload), 0, None))
         } else {
-            // The place is the call's, not the job's: what continues a call is not overtaken by newer calls.
-            let due = budget.deadline().unwrap_or(budget.start() + PATIENCE);
-            let place = (due, budget.start(), state.queued);
-            state.queued += 1;
-            let position = state.waiting.range(..place).count();
-            state.waiting.insert(place, Job { budget: budget.clone(), kind, run, refuse });
-            Ok(Ticket { position, receiver })
+            match state.scheduler.admit(now, ask, payload) {
+                Ok(admitted) => Ok((admitted.id, admitted.position, admitted.shed)),
+                Err(refused) => Err(refused),
+            }
         };
+        // Jobs are dropped outside the lock: what they hold may need it.
         drop(state);
-        self.shared.wake.notify_one();
-        for job in dead {
-            refuse_dead(job);
+        shared.wake.notify_all();
+        dead.into_iter().for_each(Job::refuse_dead);
+        match done {
+            Ok((id, position, shed)) => {
+                if let Some(shed) = shed {
+                    (shed.payload.refuse)(PoolError::Shed { retry_after: shed.retry_after });
+                }
+                Ok(Ticket::new(position, Some(id), Arc::clone(shared), receiver))
+            }
+            Err(Refused { why, retry_after, .. }) => Err(match why {
+                Refusal::Full { waiting } => {
+                    PoolError::Full { waiting, limit: self.config.queue, retry_after }
+                }
+                Refusal::CannotFinish { needs, left } => PoolError::CannotFinish { needs, left, retry_after },
+                Refusal::InTheWay => {
+                    let needs = order.estimate.least;
+                    PoolError::CannotFinish { needs, left: Duration::ZERO, retry_after }
+                }
+            }),
         }
-        result
     }
+}
+
+/// The two ways in which a job ends: it runs, or it is refused. Only one of both is called.
+fn both_ends<T, F>(sender: oneshot::Sender<Result<T, PoolError>>, queued_at: Instant, job: F) -> (Run, Refuse)
+where
+    T: Send + 'static,
+    F: FnOnce(Turn) -> T + Send + 'static,
+{
+    let sender = Arc::new(Mutex::new(Some(sender)));
+    let answer = move |result: Result<T, PoolError>| {
+        if let Some(sender) = sender.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            // The caller may be gone; then nobody needs the result.
+            sender.send(result).ok();
+        }
+    };
+    let refuse: Refuse = {
+        let answer = answer.clone();
+        Box::new(move |error| answer(Err(error)))
+    };
+    let run: Run = Box::new(move |rayon, mut turn| {
+        turn.queued = queued_at.elapsed();
+        let result = catch_unwind(AssertUnwindSafe(|| rayon.install(|| job(turn))));
+        let result = result.map_err(|panic| {
+            let said = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+            let said = said.or_else(|| panic.downcast_ref::<String>().cloned());
+            tracing::error!(panic = said.unwrap_or_default(), "planning job panicked");
+            PoolError::Panicked
+        });
+        Box::new(move || answer(result))
+    });
+    (run, refuse)
 }
 
 impl Drop for Pool {

@@ -21,6 +21,7 @@ use crate::engine::Engine;
 use crate::estimators::Estimators;
 use crate::pool::{Pool, PoolConfig, PoolError};
 use crate::registry::{FolderError, Registry};
+use crate::scenes::Scenes;
 use crate::service::{CallLayer, HandApi, InfoApi, PlannerApi};
 
 /// HTTP/2 window of a stream: a whole depth frame, so that it is not throttled by round trips.
@@ -134,6 +135,16 @@ impl LoadProbe {
     pub fn waiting(&self) -> usize {
         self.engine.pool.waiting()
     }
+
+    /// The longest that a job has run on after its call was dropped.
+    pub fn slowest_release(&self) -> Duration {
+        self.engine.pool.slowest_release()
+    }
+
+    /// Scenes that were read, each for one call or for several that brought the same frames.
+    pub fn scenes_read(&self) -> u64 {
+        self.engine.scenes.read_count()
+    }
 }
 
 impl Server {
@@ -163,6 +174,9 @@ impl Server {
             estimators: config.estimators.clone(),
             aborted: Arc::default(),
             overrun: Arc::default(),
+            estimates: Arc::default(),
+            scenes: Scenes::default(),
+            answers: Arc::default(),
         });
         let fault = |source| ServeError::Bind { addr, source };
         let listener = TcpListener::bind(addr).await.map_err(fault)?;

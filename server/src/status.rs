@@ -131,6 +131,18 @@ fn mapping(error: &ServiceError) -> Mapping {
             mapping.details.set_retry_info(Some(*retry_after));
             mapping.with("waiting", waiting).with("limit", limit)
         }
+        ServiceError::CannotFinish { needs, left, retry_after } => {
+            let mut mapping = Mapping::new(Code::ResourceExhausted, "CANNOT_FINISH");
+            mapping.details.set_retry_info(Some(*retry_after));
+            mapping.with("needs_ms", needs.as_millis()).with("left_ms", left.as_millis())
+        }
+        ServiceError::Shed { retry_after } => {
+            let mut mapping = Mapping::new(Code::ResourceExhausted, "SHED");
+            mapping.details.set_retry_info(Some(*retry_after));
+            mapping
+        }
+        ServiceError::RequestIdReused => Mapping::new(Code::InvalidArgument, "REQUEST_ID_REUSED")
+            .violation("request_id", "found one that was used for another request, expected a new one"),
         ServiceError::Deadline { elapsed, stage } => {
             Mapping::new(Code::DeadlineExceeded, "DEADLINE_EXCEEDED")
                 .with("elapsed_ms", elapsed.as_millis())
@@ -220,6 +232,17 @@ mod tests {
                 Code::DeadlineExceeded,
                 "DEADLINE_EXCEEDED",
             ),
+            (
+                ServiceError::CannotFinish {
+                    needs: Duration::from_millis(80),
+                    left: Duration::from_millis(50),
+                    retry_after: Duration::from_millis(30),
+                },
+                Code::ResourceExhausted,
+                "CANNOT_FINISH",
+            ),
+            (ServiceError::Shed { retry_after: Duration::from_millis(30) }, Code::ResourceExhausted, "SHED"),
+            (ServiceError::RequestIdReused, Code::InvalidArgument, "REQUEST_ID_REUSED"),
             (ServiceError::Cancelled, Code::Cancelled, "CANCELLED"),
             (ServiceError::Draining, Code::Unavailable, "DRAINING"),
             (ServiceError::JobPanicked, Code::Internal, "JOB_PANICKED"),

@@ -30,7 +30,7 @@ impl TestServer {
     pub fn config() -> ServerConfig {
         ServerConfig {
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-            pool: PoolConfig { threads: 2, slots: 2, queue: 4, scene_room: 3 },
+            pool: PoolConfig { threads: 2, slots: 2, servo_slots: 1, queue: 4, scene_room: 3 },
             estimators: Estimators::new(Arc::new(Geometric), vec![Arc::new(Panics), Arc::new(Stalls)]),
             ..ServerConfig::default()
         }

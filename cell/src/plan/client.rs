@@ -153,6 +153,7 @@ fn request(frame: &Frame, question: &Question) -> Result<PlanGraspsRequest, Plan
         frames: vec![message],
         scene_options: Some(scene_options(question)),
         options: Some(plan_options(question)),
+        ..PlanGraspsRequest::default()
     })
 }
 

@@ -89,6 +89,7 @@ pub(crate) async fn ask(
             frames: vec![to_wire::frame(question.files)],
             scene_options: Some(to_wire::scene_options(settings.scene, settings.estimator.name())),
             tasks: tasks.collect(),
+            ..PlanMultiHandRequest::default()
         };
         let mut slots: Vec<Option<Outcome>> = vec![None; hands.len()];
         let mut stream = client.plan_multi_hand(&request).await?;

@@ -123,6 +123,7 @@ pub(crate) fn plan_options(
         pregrasp_offset_m: Some(options.pregrasp_offset_m),
         opening_fraction: Some(options.opening_fraction),
         trace: options.trace,
+        ..v1::PlanOptions::default()
     })
 }
 

@@ -112,7 +112,7 @@ def test_deadlines_and_faults(small_server: Server, frame: graspd.DepthFrame) ->
         async with graspd.aio.connect(small_server.address, retry=ONCE) as planner:
             plan = await planner.plan(frame, hand="leap", options=LONG, timeout=1.5)
             assert plan.stats.budget_exhausted
-            with pytest.raises(graspd.DeadlineExceededError):
+            with pytest.raises((graspd.DeadlineExceededError, graspd.ResourceExhaustedError)):
                 await planner.plan(frame, hand="leap", options=LONG, timeout=0.004)
             with pytest.raises(graspd.InvalidArgumentError) as caught:
                 await planner.plan(frame, hand="leap", options=graspd.PlanOptions(batch_size=5000))
@@ -121,7 +121,7 @@ def test_deadlines_and_faults(small_server: Server, frame: graspd.DepthFrame) ->
         async with (
             graspd.aio.connect(small_server.address, retry=ONCE) as planner,
             # What came before may not be gone yet, and the first of two may not have begun.
-            graspd.aio.connect(small_server.address, timeout=60, retry=patient) as other,
+            graspd.aio.connect(small_server.address, timeout=3600, retry=patient) as other,
         ):
             running = [other.stream(frame, hand="leap", options=LONG) for _ in range(2)]
             for stream in running:

@@ -10,7 +10,8 @@ from graspd.v1 import options_pb2
 
 
 def test_unset_options_stay_unset() -> None:
-    assert graspd.PlanOptions().to_wire() == options_pb2.PlanOptions(reaching=options_pb2.REACHING_TOP_DOWN)
+    defaults = options_pb2.PlanOptions(reaching=options_pb2.REACHING_TOP_DOWN, priority=options_pb2.PRIORITY_NORMAL)
+    assert graspd.PlanOptions().to_wire() == defaults
     assert graspd.SceneOptions().to_wire() == options_pb2.SceneOptions(volume_kind=options_pb2.VOLUME_KIND_TSDF)
 
 
@@ -32,6 +33,8 @@ def test_every_field_of_the_protocol_can_be_set() -> None:
         batch_size=24,
         scheme=(100, 40),
         trace=True,
+        priority="servo",
+        require_complete=True,
     ).to_wire()
     either = {"target_label", "target_point"}
     fields = {f.name for f in options_pb2.PlanOptions.DESCRIPTOR.fields}
@@ -67,6 +70,7 @@ def test_reaching_by_name() -> None:
     ("options", "said"),
     [
         (graspd.PlanOptions(reaching="sideways"), "reaching: found 'sideways'"),
+        (graspd.PlanOptions(priority="now"), "priority: found 'now'"),  # type: ignore[arg-type]
         (graspd.PlanOptions(reaching=[1, 2]), "reaching: found an array"),
         (graspd.PlanOptions(target=graspd.TargetPoint([1], 0.1)), "target.point: found"),
         (graspd.PlanOptions(keep_out=[graspd.Box(np.eye(3), [1, 1, 1])]), r"keep_out\[0\].pose: found"),

@@ -86,6 +86,25 @@ impl EncodedFrame {
         self.size.0 * self.size.1
     }
 
+    /// True if both show the same from the same place, whatever they call it.
+    pub(crate) fn is_same_view(&self, other: &Self) -> bool {
+        (self.size, self.encoding, self.intrinsics, self.world_from_camera)
+            == (other.size, other.encoding, other.intrinsics, other.world_from_camera)
+            && self.labels == other.labels
+            && self.data == other.data
+    }
+
+    /// Hashes enough of the frame to tell most frames apart, and little enough to cost nothing.
+    pub(crate) fn hash_samples(&self, hasher: &mut impl std::hash::Hasher) {
+        const PIECES: usize = 64;
+        const PIECE_BYTES: usize = 64;
+        hasher.write_usize(self.data.len());
+        let stride = (self.data.len() / PIECES).max(PIECE_BYTES);
+        for piece in self.data.chunks(stride) {
+            hasher.write(&piece[..piece.len().min(PIECE_BYTES)]);
+        }
+    }
+
     /// Decodes the pixels: the frame, and how many pixels were invalid.
     pub(crate) fn decode(&self) -> Result<(Frame, usize), FieldError> {
         let depth = decode::depth(self.encoding, Some(self.size), &self.data)

@@ -13,6 +13,7 @@ use nalgebra::{Isometry3, Vector3};
 use super::geometry::{direction, point, pose, vector};
 use super::{count, join, known_enum, number_within, positive_up_to};
 use crate::error::FieldError;
+use crate::pool::Priority;
 
 /// At most this many keep-out boxes.
 const MOST_KEEP_OUT_BOXES: usize = 64;
@@ -103,13 +104,31 @@ fn resolution(wire: i32, path: &str) -> Result<usize, FieldError> {
     }
 }
 
-/// How grasps are searched, and the budget (`None`: the call's deadline alone).
-pub(super) fn plan_options(
-    wire: Option<v1::PlanOptions>,
-    path: &str,
-) -> Result<(PlanOptions, Option<Duration>), FieldError> {
+/// How grasps are searched, and how the search is treated.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Asked {
+    pub(super) options: PlanOptions,
+    /// `None`: the call's deadline alone.
+    pub(super) budget: Option<Duration>,
+    /// The caller named the scheme.
+    pub(super) scheme_is_fixed: bool,
+    /// Less than the whole search is no answer.
+    pub(super) require_complete: bool,
+    /// How urgent it is.
+    pub(super) priority: Priority,
+}
+
+/// How grasps are searched.
+pub(super) fn plan_options(wire: Option<v1::PlanOptions>, path: &str) -> Result<Asked, FieldError> {
     let defaults = PlanOptions::default();
-    let Some(wire) = wire else { return Ok((defaults, None)) };
+    let Some(wire) = wire else { return Ok(Asked::default()) };
+    let priority = match known_enum(wire.priority, &join(path, "priority"))? {
+        v1::Priority::Unspecified | v1::Priority::Normal => Priority::Normal,
+        v1::Priority::Low => Priority::Low,
+        v1::Priority::High => Priority::High,
+        v1::Priority::Servo => Priority::Servo,
+    };
+    let (scheme_is_fixed, require_complete) = (wire.scheme.is_some(), wire.require_complete);
     let at = |name: &str| join(path, name);
     let reaching = reaching(&wire, path)?;
     let default_orientation = default_orientation(&reaching);
@@ -151,7 +170,7 @@ pub(super) fn plan_options(
         )?,
         trace: wire.trace,
     };
-    Ok((options, budget))
+    Ok(Asked { options, budget, scheme_is_fixed, require_complete, priority })
 }
 
 fn reaching(wire: &v1::PlanOptions, path: &str) -> Result<Reaching, FieldError> {

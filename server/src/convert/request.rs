@@ -6,10 +6,11 @@ use std::time::Duration;
 use graspd_planner::options::{PlanOptions, SceneOptions, Target};
 use graspd_proto::v1;
 
-use super::options::{plan_options, scene_options};
+use super::options::{Asked, plan_options, scene_options};
 use super::{EncodedFrame, hand_id, join, quoted};
 use crate::decode::MAX_PIXELS;
 use crate::error::{FieldError, FieldReason};
+use crate::pool::Priority;
 
 /// At most this many frames make a scene.
 const MOST_FRAMES: usize = 16;
@@ -40,6 +41,31 @@ pub(crate) struct HandJob {
     pub(crate) options: PlanOptions,
     /// Stop after this.
     pub(crate) budget: Option<Duration>,
+    /// The caller named the scheme; else the deadline picks one.
+    pub(crate) scheme_is_fixed: bool,
+    /// Less than the whole search is no answer.
+    pub(crate) require_complete: bool,
+    /// How urgent it is.
+    pub(crate) priority: Priority,
+}
+
+impl HandJob {
+    fn new(task_id: String, hand_id: String, asked: Asked) -> Self {
+        let Asked { options, budget, scheme_is_fixed, require_complete, priority } = asked;
+        Self { task_id, hand_id, options, budget, scheme_is_fixed, require_complete, priority }
+    }
+}
+
+/// Longest id of a request, bytes.
+const LONGEST_REQUEST_ID: usize = 128;
+
+/// The id of a request at `path`, if it has one.
+fn request_id(id: String, path: &str) -> Result<Option<String>, FieldError> {
+    if id.len() > LONGEST_REQUEST_ID {
+        let expected = format!("at most {LONGEST_REQUEST_ID} bytes");
+        return Err(FieldError::value(join(path, "request_id"), quoted(&id), expected));
+    }
+    Ok(Some(id).filter(|id| !id.is_empty()))
 }
 
 /// Voxels of a scene of the default size: 80 along each edge.
@@ -51,8 +77,19 @@ impl SceneRequest {
     /// Room that the scene takes in memory, in scenes of the default size.
     pub(crate) fn room(&self) -> usize {
         let voxels = self.options.grid.len();
-        let pixels: usize = self.frames.iter().map(EncodedFrame::pixel_count).sum();
-        voxels.div_ceil(VOXELS_OF_A_ROOM) + pixels / PIXELS_OF_A_ROOM
+        voxels.div_ceil(VOXELS_OF_A_ROOM) + self.pixel_count() / PIXELS_OF_A_ROOM
+    }
+
+    /// True if both make the same scene: what only names things (frames of reference, times) does not count.
+    pub(crate) fn is_same_scene(&self, other: &Self) -> bool {
+        self.options == other.options
+            && self.frames.len() == other.frames.len()
+            && self.frames.iter().zip(&other.frames).all(|(a, b)| a.is_same_view(b))
+    }
+
+    /// Pixels of all frames.
+    pub(crate) fn pixel_count(&self) -> usize {
+        self.frames.iter().map(EncodedFrame::pixel_count).sum()
     }
 
     fn parse(
@@ -155,21 +192,30 @@ fn check_target(scene: &SceneRequest, options: &PlanOptions, path: &str) -> Resu
     Ok(())
 }
 
+/// A whole request, checked.
+#[derive(Debug, Clone)]
+pub(crate) struct Parsed<J> {
+    /// The scene.
+    pub(crate) scene: SceneRequest,
+    /// What to do in it.
+    pub(crate) jobs: J,
+    /// The caller's name for the request.
+    pub(crate) request_id: Option<String>,
+}
+
 /// A request for one hand; `path` is empty, or the field that holds the request.
-pub(crate) fn plan_grasps(
-    wire: v1::PlanGraspsRequest,
-    path: &str,
-) -> Result<(SceneRequest, HandJob), FieldError> {
+pub(crate) fn plan_grasps(wire: v1::PlanGraspsRequest, path: &str) -> Result<Parsed<HandJob>, FieldError> {
     let hand_id = hand_id(&wire.hand, &join(path, "hand"))?;
     let scene = SceneRequest::parse(wire.frames, wire.scene_options, path)?;
     let options_path = join(path, "options");
-    let (options, budget) = plan_options(wire.options, &options_path)?;
-    check_target(&scene, &options, &options_path)?;
-    Ok((scene, HandJob { task_id: String::new(), hand_id, options, budget }))
+    let asked = plan_options(wire.options, &options_path)?;
+    check_target(&scene, &asked.options, &options_path)?;
+    let request_id = request_id(wire.request_id, path)?;
+    Ok(Parsed { scene, jobs: HandJob::new(String::new(), hand_id, asked), request_id })
 }
 
 /// A request for several hands.
-pub(crate) fn multi_hand(wire: v1::PlanMultiHandRequest) -> Result<(SceneRequest, Vec<HandJob>), FieldError> {
+pub(crate) fn multi_hand(wire: v1::PlanMultiHandRequest) -> Result<Parsed<Vec<HandJob>>, FieldError> {
     if wire.tasks.is_empty() {
         return Err(FieldError::missing("tasks", "at least one task"));
     }
@@ -197,9 +243,10 @@ pub(crate) fn multi_hand(wire: v1::PlanMultiHandRequest) -> Result<(SceneRequest
         }
         let hand_id = hand_id(&task.hand, &join(&path, "hand"))?;
         let options_path = join(&path, "options");
-        let (options, budget) = plan_options(task.options, &options_path)?;
-        check_target(&scene, &options, &options_path)?;
-        jobs.push(HandJob { task_id: task.task_id, hand_id, options, budget });
+        let asked = plan_options(task.options, &options_path)?;
+        check_target(&scene, &asked.options, &options_path)?;
+        jobs.push(HandJob::new(task.task_id, hand_id, asked));
     }
-    Ok((scene, jobs))
+    let request_id = request_id(wire.request_id, "")?;
+    Ok(Parsed { scene, jobs, request_id })
 }

@@ -1,15 +1,93 @@
 //! A slot: a thread that takes one job after the other, and what slots and callers share.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-use super::SceneRoom;
-use super::queue::{State, refuse_dead, take_dead, take_next};
+use graspd_planner::budget::{Budget as _, Stop};
+use graspd_scheduler::{Fit, JobId, Scheduler, Time};
+
+use super::{Gate, Look, PoolError, SceneRoom, Turn};
+use crate::deadline::CallBudget;
+
+/// Runs a job and gives back what tells its caller, to be called when the slot is free again.
+pub(super) type Run = Box<dyn FnOnce(&rayon::ThreadPool, Turn) -> Box<dyn FnOnce() + Send> + Send>;
+pub(super) type Refuse = Box<dyn FnOnce(PoolError) + Send>;
+
+/// A job as the scheduler keeps it.
+pub(super) struct Job {
+    pub(super) budget: CallBudget,
+    pub(super) gate: Option<Arc<dyn Gate>>,
+    /// Runs the job and answers its ticket.
+    pub(super) run: Run,
+    /// Answers its ticket without running it. Shares the ticket with `run`; only one of both is called.
+    pub(super) refuse: Refuse,
+}
+
+impl Job {
+    pub(super) fn refuse_dead(self) {
+        let error = match self.budget.stop() {
+            Some(Stop::Cancelled) => PoolError::Cancelled,
+            _ => PoolError::Expired,
+        };
+        (self.refuse)(error);
+    }
+}
+
+pub(super) struct State {
+    pub(super) scheduler: Scheduler<Job>,
+    /// Room that scenes take.
+    pub(super) room_taken: usize,
+    pub(super) closed: bool,
+}
+
+impl State {
+    /// Takes every job out of the queue that need not run any more.
+    pub(super) fn take_dead(&mut self, now: Time) -> Vec<Job> {
+        let mut dead: Vec<Job> = self.scheduler.expire(now).into_iter().map(|(_, job)| job).collect();
+        let cancelled: Vec<JobId> = (self.scheduler.waiting_payloads())
+            .filter(|(_, job)| job.budget.is_cancelled())
+            .map(|(id, _)| id)
+            .collect();
+        dead.extend(cancelled.into_iter().filter_map(|id| self.scheduler.withdraw(id)));
+        dead
+    }
+
+    /// Takes the first job that can begin, and the room for its scene. Where one has to wait for room, no
+    /// other scene may overtake it (a large one would wait for ever), but jobs that read none may.
+    fn take_next(&mut self, now: Time, room_limit: usize) -> Option<(JobId, Job, usize)> {
+        let mut room_left = room_limit.saturating_sub(self.room_taken);
+        let mut room = 0;
+        let begun = self.scheduler.take(now, |job| {
+            room = 0;
+            match job.gate.as_ref().map_or(Look::Open, |gate| gate.look()) {
+                Look::Open => Fit::Now,
+                Look::Shut => Fit::NotYet,
+                Look::Needs(needed) if needed.min(room_limit) > room_left => {
+                    room_left = 0;
+                    Fit::NotYet
+                }
+                Look::Needs(needed) => {
+                    room = needed.min(room_limit);
+                    if let Some(gate) = &job.gate {
+                        gate.begin();
+                    }
+                    Fit::Now
+                }
+            }
+        })?;
+        self.room_taken += room;
+        Some((begun.id, begun.payload, room))
+    }
+}
 
 /// What the slots and the callers of a pool share.
 pub(super) struct Shared {
+    pub(super) epoch: Instant,
     pub(super) state: Mutex<State>,
     pub(super) wake: Condvar,
+    /// The longest that a job has run on after it was cancelled, microseconds.
+    pub(super) slowest_release_us: AtomicU64,
 }
 
 impl Shared {
@@ -17,32 +95,55 @@ impl Shared {
         // Jobs run outside the lock, so a poisoned lock still holds a consistent state.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    pub(super) fn now(&self) -> Time {
+        self.epoch.elapsed()
+    }
+
+    /// A moment as the scheduler counts it.
+    pub(super) fn time(&self, at: Instant) -> Time {
+        at.saturating_duration_since(self.epoch)
+    }
+
+    /// Takes a job out of the queue whose caller is gone.
+    pub(super) fn withdraw(&self, id: JobId) {
+        let job = self.lock().scheduler.withdraw(id);
+        if job.is_some() {
+            // It may have been in the way of others.
+            self.wake.notify_all();
+        }
+    }
 }
 
-/// The life of a slot: take the most urgent job, run it, until the pool is closed.
+/// The life of a slot: take the first job, run it, until the pool is closed.
 pub(super) fn run_slot(shared: &Arc<Shared>, rayon: &rayon::ThreadPool, room_limit: usize) {
     let mut state = shared.lock();
     loop {
-        let mut dead = Vec::new();
-        take_dead(&mut state, &mut dead);
+        let now = shared.now();
+        let dead = state.take_dead(now);
         if !dead.is_empty() {
             drop(state);
-            dead.into_iter().for_each(refuse_dead);
+            dead.into_iter().for_each(Job::refuse_dead);
             state = shared.lock();
             continue;
         }
-        if let Some((job, room)) = take_next(&mut state, room_limit) {
-            state.running += 1;
-            if !state.waiting.is_empty() {
-                shared.wake.notify_one();
-            }
+        if let Some((id, job, room)) = state.take_next(now, room_limit) {
             drop(state);
-            let began = Instant::now();
-            (job.run)(rayon, SceneRoom::new(Arc::clone(shared), room));
-            let took = began.elapsed().as_secs_f64();
+            // What a job holds may need the lock when it is let go: nothing of it is left when the lock is taken again.
+            let Job { budget, run, gate, refuse } = job;
+            drop((gate, refuse));
+            let turn = Turn::new(Arc::clone(shared), id, SceneRoom::new(Arc::clone(shared), room));
+            let tell = run(rayon, turn);
+            if let Some(since) = budget.cancelled_for() {
+                let us = u64::try_from(since.as_micros()).unwrap_or(u64::MAX);
+                shared.slowest_release_us.fetch_max(us, Ordering::Relaxed);
+            }
             state = shared.lock();
-            state.running -= 1;
-            state.mean_run_s += 0.2 * (took - state.mean_run_s);
+            state.scheduler.end(shared.now(), id);
+            drop(state);
+            shared.wake.notify_all();
+            tell();
+            state = shared.lock();
         } else if state.closed {
             return;
         } else {

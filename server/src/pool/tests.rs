@@ -14,34 +14,100 @@ fn endless() -> CallBudget {
 }
 
 fn pool(slots: usize, queue: usize) -> Pool {
-    Pool::start(PoolConfig { threads: 1, slots, queue, scene_room: 2 }).unwrap()
+    Pool::start(PoolConfig { threads: 1, slots, servo_slots: 0, queue, scene_room: 2 }).unwrap()
 }
 
-/// Keeps the pool's only slot busy until the returned sender is dropped.
-fn occupy(pool: &Pool) -> mpsc::Sender<()> {
+/// A scene of that size, not shared with anybody.
+struct Scene(usize);
+
+impl Gate for Scene {
+    fn look(&self) -> Look {
+        Look::Needs(self.0)
+    }
+}
+
+fn order() -> Order {
+    Order::brief(Flow(1))
+}
+
+/// Short forms for jobs of one caller.
+trait Submit {
+    fn plain<T: Send + 'static>(
+        &self,
+        budget: &CallBudget,
+        job: impl FnOnce(Turn) -> T + Send + 'static,
+    ) -> Result<Ticket<T>, PoolError>;
+    fn scene<T: Send + 'static>(
+        &self,
+        budget: &CallBudget,
+        room: usize,
+        job: impl FnOnce(SceneRoom) -> T + Send + 'static,
+    ) -> Result<Ticket<T>, PoolError>;
+    fn continuation<T: Send + 'static>(
+        &self,
+        budget: &CallBudget,
+        job: impl FnOnce(Turn) -> T + Send + 'static,
+    ) -> Result<Ticket<T>, PoolError>;
+}
+
+impl Submit for Pool {
+    fn plain<T: Send + 'static>(
+        &self,
+        budget: &CallBudget,
+        job: impl FnOnce(Turn) -> T + Send + 'static,
+    ) -> Result<Ticket<T>, PoolError> {
+        self.submit(budget, &order(), None, job)
+    }
+
+    fn scene<T: Send + 'static>(
+        &self,
+        budget: &CallBudget,
+        room: usize,
+        job: impl FnOnce(SceneRoom) -> T + Send + 'static,
+    ) -> Result<Ticket<T>, PoolError> {
+        self.submit(budget, &order(), Some(Arc::new(Scene(room))), |mut turn| job(turn.take_room()))
+    }
+
+    fn continuation<T: Send + 'static>(
+        &self,
+        budget: &CallBudget,
+        job: impl FnOnce(Turn) -> T + Send + 'static,
+    ) -> Result<Ticket<T>, PoolError> {
+        self.submit_continuation(budget, &order(), job)
+    }
+}
+
+/// Keeps one of the pool's slots busy until it is dropped.
+struct Occupied {
+    _release: mpsc::Sender<()>,
+    _ticket: Ticket<()>,
+}
+
+fn occupy(pool: &Pool) -> Occupied {
     let (release, wait) = mpsc::channel::<()>();
     let (begun, began) = mpsc::channel();
-    let ticket = pool.submit(&endless(), move |_| {
+    let ticket = pool.plain(&endless(), move |_| {
         begun.send(()).unwrap();
         wait.recv().ok();
     });
-    assert_eq!(ticket.unwrap().position, 0);
+    let ticket = ticket.unwrap();
+    assert_eq!(ticket.position, 0);
     began.recv().unwrap();
-    release
+    Occupied { _release: release, _ticket: ticket }
 }
 
 #[tokio::test]
 async fn a_full_queue_refuses_at_once_and_says_when_to_come_back() {
     let pool = pool(1, 2);
     let release = occupy(&pool);
-    let kept: Vec<_> = (0..2).map(|i| pool.submit(&endless(), move |_| i).unwrap()).collect();
+    let kept: Vec<_> = (0..2).map(|i| pool.plain(&endless(), move |_| i).unwrap()).collect();
     assert_eq!(kept.iter().map(|t| t.position).collect::<Vec<_>>(), [0, 1]);
-    let error = pool.submit(&endless(), |_| 9).unwrap_err();
+    let error = pool.plain(&endless(), |_| 9).unwrap_err();
     assert!(
         matches!(error, PoolError::Full { waiting: 2, limit: 2, retry_after } if retry_after > Duration::ZERO)
     );
     // What continues an admitted job is never refused.
-    let mut continued = pool.submit_continuation(&endless(), |_| 7).unwrap();
+    let mut continued = pool.continuation(&endless(), |_| 7).unwrap();
     drop(release);
     for (i, mut ticket) in kept.into_iter().enumerate() {
         assert_eq!(ticket.wait().await.unwrap(), i);
@@ -54,11 +120,14 @@ async fn dead_jobs_make_room_and_never_run() {
     let pool = pool(1, 1);
     let release = occupy(&pool);
     let gone = endless();
-    let mut cancelled = pool.submit(&gone, |_| panic!("must not run")).unwrap();
+    let mut cancelled = pool.plain(&gone, |_| panic!("must not run")).unwrap();
     gone.cancel();
-    let mut expired = pool.submit(&budget_ms(0), |_| panic!("must not run")).unwrap();
-    let mut alive = pool.submit(&endless(), |_| "alive").unwrap();
+    let mut expired = pool.plain(&budget_ms(0), |_| panic!("must not run")).unwrap();
+    let mut late = pool.plain(&budget_ms(30), |_| panic!("must not run")).unwrap();
+    std::thread::sleep(Duration::from_millis(40));
+    let mut alive = pool.plain(&endless(), |_| "alive").unwrap();
     drop(release);
+    assert_eq!(late.wait().await.unwrap_err(), PoolError::Expired);
     assert_eq!(cancelled.wait().await.unwrap_err(), PoolError::Cancelled);
     assert_eq!(expired.wait().await.unwrap_err(), PoolError::Expired);
     assert_eq!(alive.wait().await.unwrap(), "alive");
@@ -68,11 +137,11 @@ async fn dead_jobs_make_room_and_never_run() {
 async fn the_most_urgent_job_goes_first() {
     let pool = pool(1, 8);
     let release = occupy(&pool);
-    let (order, seen) = mpsc::channel();
+    let (said, seen) = mpsc::channel();
     let mut tickets = Vec::new();
     for (ms, name) in [(60_000, "late"), (20_000, "soon"), (40_000, "middle")] {
-        let order = order.clone();
-        tickets.push(pool.submit(&budget_ms(ms), move |_| order.send(name).unwrap()).unwrap());
+        let said = said.clone();
+        tickets.push(pool.plain(&budget_ms(ms), move |_| said.send(name).unwrap()).unwrap());
     }
     drop(release);
     for mut ticket in tickets {
@@ -84,11 +153,11 @@ async fn the_most_urgent_job_goes_first() {
 #[tokio::test]
 async fn a_panic_is_one_jobs_own() {
     let pool = pool(1, 4);
-    let mut bad = pool.submit(&endless(), |_| -> () { panic!("on purpose") }).unwrap();
+    let mut bad = pool.plain(&endless(), |_| -> () { panic!("on purpose") }).unwrap();
     assert_eq!(bad.wait().await, Err(PoolError::Panicked));
-    let inside = pool.submit(&endless(), |_| rayon::join(|| 1, || -> i32 { panic!("on purpose") }));
+    let inside = pool.plain(&endless(), |_| rayon::join(|| 1, || -> i32 { panic!("on purpose") }));
     assert_eq!(inside.unwrap().wait().await, Err(PoolError::Panicked));
-    let mut good = pool.submit(&endless(), |_| 3).unwrap();
+    let mut good = pool.plain(&endless(), |_| 3).unwrap();
     assert_eq!(good.wait().await.unwrap(), 3);
     assert_eq!(pool.waiting(), 0);
 }
@@ -97,10 +166,10 @@ async fn a_panic_is_one_jobs_own() {
 async fn a_closed_pool_refuses_what_waits_and_what_comes() {
     let pool = pool(1, 4);
     let release = occupy(&pool);
-    let mut waiting = pool.submit(&endless(), |_| 1).unwrap();
+    let mut waiting = pool.plain(&endless(), |_| 1).unwrap();
     pool.close();
     assert_eq!(waiting.wait().await, Err(PoolError::Closed));
-    assert_eq!(pool.submit(&endless(), |_| 1).map(|_| ()), Err(PoolError::Closed));
+    assert_eq!(pool.plain(&endless(), |_| 1).map(|_| ()), Err(PoolError::Closed));
     drop(release);
 }
 
@@ -109,7 +178,7 @@ async fn without_a_queue_only_free_slots_take_jobs() {
     let pool = pool(2, 0);
     let first = occupy(&pool);
     let second = occupy(&pool);
-    assert!(matches!(pool.submit(&endless(), |_| ()), Err(PoolError::Full { limit: 0, .. })));
+    assert!(matches!(pool.plain(&endless(), |_| ()), Err(PoolError::Full { limit: 0, .. })));
     drop((first, second));
 }
 
@@ -118,16 +187,16 @@ async fn what_continues_a_call_keeps_the_calls_place() {
     let pool = pool(1, 8);
     let release = occupy(&pool);
     let early = endless();
-    let (order, seen) = mpsc::channel();
+    let (said, seen) = mpsc::channel();
     let mut tickets = Vec::new();
     for name in ["new", "newer"] {
-        let order = order.clone();
+        let said = said.clone();
         let later = CallBudget::new(early.start() + Duration::from_millis(5), None);
-        tickets.push(pool.submit_scene(&later, 1, move |_, _| order.send(name).unwrap()).unwrap());
+        tickets.push(pool.scene(&later, 1, move |_| said.send(name).unwrap()).unwrap());
     }
     for name in ["first hand", "second hand"] {
-        let order = order.clone();
-        tickets.push(pool.submit_continuation(&early, move |_| order.send(name).unwrap()).unwrap());
+        let said = said.clone();
+        tickets.push(pool.continuation(&early, move |_| said.send(name).unwrap()).unwrap());
     }
     drop(release);
     for mut ticket in tickets {
@@ -139,14 +208,14 @@ async fn what_continues_a_call_keeps_the_calls_place() {
 #[tokio::test]
 async fn scenes_begin_only_where_there_is_room_and_others_pass_them() {
     let pool = pool(3, 8);
-    let mut small = pool.submit_scene(&endless(), 1, |_, room| room).unwrap();
+    let mut small = pool.scene(&endless(), 1, |room| room).unwrap();
     let small = small.wait().await.unwrap();
     assert_eq!(pool.scene_room_taken(), 1);
     // Asks for more than there is and so waits for all of it; the next scene may not overtake it.
-    let mut large = pool.submit_scene(&endless(), 5, |_, room| room).unwrap();
-    let mut next = pool.submit_scene(&endless(), 1, |_, room| room).unwrap();
-    let mut other = pool.submit(&endless(), |_| "no scene").unwrap();
-    let mut hand = pool.submit_continuation(&endless(), |_| "has a scene").unwrap();
+    let mut large = pool.scene(&endless(), 5, |room| room).unwrap();
+    let mut next = pool.scene(&endless(), 1, |room| room).unwrap();
+    let mut other = pool.plain(&endless(), |_| "no scene").unwrap();
+    let mut hand = pool.continuation(&endless(), |_| "has a scene").unwrap();
     assert_eq!(other.wait().await.unwrap(), "no scene");
     assert_eq!(hand.wait().await.unwrap(), "has a scene");
     assert_eq!((pool.waiting(), pool.scene_room_taken()), (2, 1));
@@ -161,16 +230,121 @@ async fn scenes_begin_only_where_there_is_room_and_others_pass_them() {
 #[tokio::test]
 async fn room_comes_back_from_jobs_that_panic_and_dead_jobs_are_not_in_the_way() {
     let pool = pool(2, 8);
-    let mut bad = pool.submit_scene(&endless(), 2, |_, _| -> () { panic!("on purpose") }).unwrap();
+    let mut bad = pool.scene(&endless(), 2, |_| -> () { panic!("on purpose") }).unwrap();
     assert_eq!(bad.wait().await, Err(PoolError::Panicked));
     assert_eq!(pool.scene_room_taken(), 0);
-    let held = pool.submit_scene(&endless(), 1, |_, room| room).unwrap().wait().await.unwrap();
+    let held = pool.scene(&endless(), 1, |room| room).unwrap().wait().await.unwrap();
     let gone = endless();
-    let mut dead = pool.submit_scene(&gone, 2, |_, _| panic!("must not run")).unwrap();
-    let mut next = pool.submit_scene(&endless(), 1, |_, _| "runs").unwrap();
+    let mut dead = pool.scene(&gone, 2, |_| panic!("must not run")).unwrap();
+    let mut next = pool.scene(&endless(), 1, |_| "runs").unwrap();
     gone.cancel();
     pool.drop_dead();
     assert_eq!(dead.wait().await, Err::<(), _>(PoolError::Cancelled));
     assert_eq!(next.wait().await.unwrap(), "runs");
     drop(held);
+}
+
+#[tokio::test]
+async fn a_dropped_ticket_leaves_the_queue_at_once() {
+    let pool = pool(1, 1);
+    let release = occupy(&pool);
+    let waiting = pool.plain(&endless(), |_| panic!("must not run")).unwrap();
+    assert_eq!(pool.waiting(), 1);
+    drop(waiting);
+    assert_eq!(pool.waiting(), 0);
+    let mut next = pool.plain(&endless(), |_| "runs").unwrap();
+    drop(release);
+    assert_eq!(next.wait().await.unwrap(), "runs");
+}
+
+#[tokio::test]
+async fn what_cannot_finish_is_refused_without_waiting() {
+    let pool = pool(1, 8);
+    let long = Order { estimate: Estimate { least: SECOND, expected: SECOND }, ..order() };
+    let (release, wait) = mpsc::channel::<()>();
+    let _runs = pool.submit(&endless(), &long, None, move |_| wait.recv().ok()).unwrap();
+    while pool.running() == 0 {
+        std::thread::yield_now();
+    }
+    let began = Instant::now();
+    let error = pool.submit(&budget_ms(1500), &long, None, |_| ()).unwrap_err();
+    assert!(began.elapsed() < Duration::from_millis(500));
+    let PoolError::CannotFinish { needs, left, retry_after } = error else { panic!("{error}") };
+    assert!(needs > left && retry_after >= Duration::from_millis(300), "{needs:?} {left:?} {retry_after:?}");
+    assert!(pool.submit(&budget_ms(2500), &long, None, |_| ()).is_ok());
+    drop(release);
+}
+
+const SECOND: Duration = Duration::from_secs(1);
+
+#[tokio::test]
+async fn servo_jobs_begin_while_every_other_slot_is_busy() {
+    let config = PoolConfig { threads: 1, slots: 1, servo_slots: 1, queue: 4, scene_room: 2 };
+    let pool = Pool::start(config).unwrap();
+    let release = occupy(&pool);
+    let mut waiting = pool.plain(&endless(), |_| "ordinary").unwrap();
+    let servo = Order { priority: Priority::Servo, ..order() };
+    let mut servo = pool.submit(&endless(), &servo, None, |_| "servo").unwrap();
+    assert_eq!(servo.wait().await.unwrap(), "servo");
+    assert_eq!(pool.waiting_by_priority(), [0, 1, 0, 0]);
+    drop(release);
+    assert_eq!(waiting.wait().await.unwrap(), "ordinary");
+}
+
+/// Many callers at once who change their minds: every ticket gets exactly one answer, and nothing is left.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn every_job_ends_once_under_a_storm_of_callers() {
+    let pool = Arc::new(pool(3, 6));
+    let ran = Arc::new(std::sync::atomic::AtomicUsize::new(0));
+    let mut callers = tokio::task::JoinSet::new();
+    for i in 0..600u64 {
+        let (pool, ran) = (Arc::clone(&pool), Arc::clone(&ran));
+        callers.spawn(async move {
+            tokio::time::sleep(Duration::from_micros(i * 97 % 30_000)).await;
+            let budget = if i % 3 == 0 { budget_ms(i % 20) } else { endless() };
+            let order = Order { priority: Priority::ALL[(i % 4) as usize], caller: Flow(i % 5), ..order() };
+            let job_budget = budget.clone();
+            let ticket = pool.submit(&budget, &order, None, move |_| {
+                ran.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                std::thread::sleep(Duration::from_micros(200));
+                job_budget.is_cancelled()
+            });
+            let Ok(mut ticket) = ticket else { return (0, 0, 1) };
+            if i % 7 == 0 {
+                let _cancel = budget.cancel_on_drop();
+                return match tokio::time::timeout(Duration::from_micros(300), ticket.wait()).await {
+                    Ok(Ok(_)) => (1, 0, 0),
+                    Ok(Err(_)) | Err(_) => (0, 0, 1),
+                };
+            }
+            match tokio::time::timeout(SECOND * 20, ticket.wait()).await {
+                Ok(Ok(_)) => (1, 0, 0),
+                Ok(Err(PoolError::Expired | PoolError::Shed { .. })) => (0, 1, 0),
+                other => panic!("job {i}: {other:?}"),
+            }
+        });
+    }
+    let (mut done, mut dead, mut gone) = (0, 0, 0);
+    let wake = Arc::clone(&pool);
+    let timer = tokio::spawn(async move {
+        loop {
+            wake.drop_dead();
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    });
+    while let Some(ended) = callers.join_next().await {
+        let (a, b, c) = ended.unwrap();
+        (done, dead, gone) = (done + a, dead + b, gone + c);
+    }
+    timer.abort();
+    assert_eq!(done + dead + gone, 600);
+    let ran = ran.load(std::sync::atomic::Ordering::Relaxed);
+    assert!(
+        done > 0 && ran >= done && ran <= done + gone,
+        "{done} done, {dead} dead, {gone} gone, {ran} ran"
+    );
+    while pool.running() > 0 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    assert_eq!((pool.waiting(), pool.running()), (0, 0));
 }

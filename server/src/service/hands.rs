@@ -7,12 +7,11 @@ use graspd_proto::v1;
 use graspd_proto::v1::hand_service_server::HandService;
 use tonic::{Request, Response, Status, Streaming};
 
-use super::clock;
+use super::{caller, clock};
 use crate::convert::{geometry_message, hand_id, hand_message, quoted};
-use crate::deadline::CallBudget;
 use crate::engine::Engine;
 use crate::error::{FieldError, HandProblem, ServiceError};
-use crate::pool::PoolError;
+use crate::pool::Order;
 use crate::registry::{Entry, Origin, Upload, is_hand_id, load_files};
 use crate::status;
 
@@ -79,7 +78,7 @@ impl HandService for HandApi {
         &self,
         request: Request<Streaming<v1::CreateHandRequest>>,
     ) -> Result<Response<v1::CreateHandResponse>, Status> {
-        let clock = clock(request.extensions());
+        let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
         let mut messages = request.into_inner();
         let mut upload = Upload::begin(messages.message().await.map_err(translated)?)?;
         self.engine.registry.check_free(&upload.hand_id)?;
@@ -92,9 +91,13 @@ impl HandService for HandApi {
         let ticket = self
             .engine
             .pool
-            .submit(&budget, move |_| load_files(&hand_id, files))
-            .map_err(|e| pool_error(&e, &budget))?;
-        let loaded = self.engine.finish(&budget, ticket).await.map_err(|e| pool_error(&e, &budget))?;
+            .submit(&budget, &Order::brief(caller.flow), None, move |_| load_files(&hand_id, files))
+            .map_err(|e| ServiceError::of_pool(&e, || clock.elapsed()))?;
+        let loaded = self
+            .engine
+            .finish(&budget, ticket)
+            .await
+            .map_err(|e| ServiceError::of_pool(&e, || clock.elapsed()))?;
         let loaded = loaded.map_err(|e| hand_error(&e))?;
         let hand = if validate_only {
             hand_message(&loaded.hand, Origin::Created, None)
@@ -125,21 +128,6 @@ fn message(entry: &Entry) -> v1::Hand {
 /// A fault of the stream, in our words.
 fn translated(fault: Status) -> Status {
     status::from_transport(&fault).map_or(fault, Status::from)
-}
-
-fn pool_error(error: &PoolError, budget: &CallBudget) -> ServiceError {
-    use graspd_planner::budget::Budget as _;
-
-    match error {
-        PoolError::Full { waiting, limit, retry_after } => {
-            ServiceError::QueueFull { waiting: *waiting, limit: *limit, retry_after: *retry_after }
-        }
-        PoolError::Expired => ServiceError::Deadline { elapsed: budget.elapsed(), stage: "in the queue" },
-        PoolError::Cancelled => ServiceError::Cancelled,
-        PoolError::Panicked => ServiceError::JobPanicked,
-        PoolError::Closed => ServiceError::Draining,
-        PoolError::Threads(_) => ServiceError::Internal { what: error.to_string() },
-    }
 }
 
 /// What is wrong with a hand's files, file by file.

@@ -11,9 +11,11 @@ use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::Service;
 use tonic::codegen::http::{Request, Response};
+use tonic::transport::server::TcpConnectInfo;
 use tower::Layer;
 use tracing::Instrument as _;
 
+use crate::caller::Caller;
 use crate::deadline::CallClock;
 use crate::error::ServiceError;
 use crate::status;
@@ -72,6 +74,8 @@ where
         let clock = CallClock::start(request.headers());
         let span = tracing::info_span!("call", method = %path);
         request.extensions_mut().insert(clock);
+        let peer = request.extensions().get::<TcpConnectInfo>().and_then(TcpConnectInfo::remote_addr);
+        request.extensions_mut().insert(Caller::anonymous(peer));
         let answer = self.inner.call(request);
         Box::pin(
             async move {

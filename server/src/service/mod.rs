@@ -14,9 +14,15 @@ use std::time::Instant;
 
 use tonic::Extensions;
 
+use crate::caller::Caller;
 use crate::deadline::CallClock;
 
 /// The clock that the layer put into the request.
 fn clock(extensions: &Extensions) -> CallClock {
     extensions.get::<CallClock>().copied().unwrap_or(CallClock { arrived: Instant::now(), timeout: None })
+}
+
+/// Who calls, as the layer found out.
+fn caller(extensions: &Extensions) -> Caller {
+    extensions.get::<Caller>().cloned().unwrap_or_else(|| Caller::named("unknown"))
 }

@@ -1,5 +1,6 @@
 //! `graspd.v1.PlannerService`.
 
+use std::hash::{DefaultHasher, Hasher as _};
 use std::pin::Pin;
 use std::sync::Arc;
 
@@ -12,10 +13,12 @@ use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::clock;
-use crate::convert::{self, count_message, duration_message};
+use super::{caller, clock};
+use crate::answers::{Joined, Leader, RequestKey};
+use crate::caller::Caller;
+use crate::convert::{self, Parsed, count_message, duration_message};
 use crate::deadline::CancelOnDrop;
-use crate::engine::{Answer, Call, Engine, OnBetter, Task};
+use crate::engine::{Answer, Call, Engine, OnBetter, Repeatable, Task};
 use crate::error::{FieldError, ServiceError};
 use crate::pool::Ticket;
 use crate::status;
@@ -38,37 +41,58 @@ impl PlannerService for PlannerApi {
         &self,
         request: Request<v1::PlanGraspsRequest>,
     ) -> Result<Response<v1::PlanGraspsResponse>, Status> {
-        let clock = clock(request.extensions());
-        let (scene, job) = convert::plan_grasps(request.into_inner(), "").map_err(ServiceError::from)?;
-        let task = self.engine.task(job)?;
-        let call = self.engine.call(clock, scene)?;
+        let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
+        let request = request.into_inner();
+        let asked = asked(&request.request_id, &request);
+        let Parsed { scene, jobs, request_id } =
+            convert::plan_grasps(request, "").map_err(ServiceError::from)?;
+        let task = self.engine.task(jobs)?;
+        let call = self.engine.call(clock, &caller, scene)?;
         let _cancel = call.budget.cancel_on_drop();
-        let ticket = self.engine.submit_single(&call, &task, None)?;
-        Ok(Response::new(self.engine.answer(&call, &task, ticket).await?))
+        let repeatable = repeatable(request_id, &caller, asked);
+        let plan = async || {
+            let ticket = self.engine.submit_single(&call, &task, None)?;
+            self.engine.answer(&call, &task, ticket).await
+        };
+        Ok(Response::new(self.engine.once(repeatable.as_ref(), plan).await?))
     }
 
     async fn stream_grasps(
         &self,
         request: Request<v1::StreamGraspsRequest>,
     ) -> Result<Response<Self::StreamGraspsStream>, Status> {
-        let clock = clock(request.extensions());
+        let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
         let plan = request
             .into_inner()
             .plan
             .ok_or_else(|| ServiceError::from(FieldError::missing("plan", "a request")))?;
-        let (scene, job) = convert::plan_grasps(plan, "plan").map_err(ServiceError::from)?;
-        let task = self.engine.task(job)?;
-        let call = self.engine.call(clock, scene)?;
+        let asked = asked(&plan.request_id, &plan);
+        let Parsed { scene, jobs, request_id } =
+            convert::plan_grasps(plan, "plan").map_err(ServiceError::from)?;
+        let task = self.engine.task(jobs)?;
+        let call = self.engine.call(clock, &caller, scene)?;
         let cancel = call.budget.cancel_on_drop();
+        let repeatable = repeatable(request_id, &caller, asked);
+        let (sender, receiver) = mpsc::channel(4);
+        let leader = match repeatable.as_ref().map(|r| self.engine.answers.join(&r.key, r.asked)) {
+            None => None,
+            Some(Joined::Lead(leader)) => Some(leader),
+            Some(Joined::Reused) => return Err(ServiceError::RequestIdReused.into()),
+            Some(Joined::Follow(_) | Joined::Answered(_)) => {
+                let stream =
+                    GraspStream { engine: Arc::clone(&self.engine), call, task, sender, _cancel: cancel };
+                tokio::spawn(stream.repeat(repeatable));
+                return Ok(Response::new(Box::pin(ReceiverStream::new(receiver))));
+            }
+        };
         let (better, improved) = watch::channel(None);
         let on_better: OnBetter = Box::new(move |response| {
             // Nobody may be listening any more; the budget tells the planner so.
             better.send(Some(response)).ok();
         });
         let ticket = self.engine.submit_single(&call, &task, Some(on_better))?;
-        let (sender, receiver) = mpsc::channel(4);
         let stream = GraspStream { engine: Arc::clone(&self.engine), call, task, sender, _cancel: cancel };
-        tokio::spawn(stream.run(ticket, improved));
+        tokio::spawn(stream.run(ticket, improved, leader));
         Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
     }
 
@@ -76,11 +100,14 @@ impl PlannerService for PlannerApi {
         &self,
         request: Request<v1::PlanMultiHandRequest>,
     ) -> Result<Response<Self::PlanMultiHandStream>, Status> {
-        let clock = clock(request.extensions());
-        let (scene, jobs) = convert::multi_hand(request.into_inner()).map_err(ServiceError::from)?;
+        let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
+        let request = request.into_inner();
+        let asked = asked(&request.request_id, &request);
+        let Parsed { scene, jobs, request_id } = convert::multi_hand(request).map_err(ServiceError::from)?;
         let tasks = jobs.into_iter().map(|job| self.engine.task(job)).collect::<Result<Vec<_>, _>>()?;
-        let call = self.engine.call(clock, scene)?;
+        let call = self.engine.call(clock, &caller, scene)?;
         let cancel = call.budget.cancel_on_drop();
+        let repeatable = repeatable(request_id, &caller, asked);
         let ticket = self.engine.submit_scene(&call, &tasks)?;
         // A frame that cannot be read is an error of the call, so the stream begins when the scene is there.
         let read = match self.engine.scene(&call, ticket).await {
@@ -94,20 +121,21 @@ impl PlannerService for PlannerApi {
             let _cancel = cancel;
             let mut answers = JoinSet::new();
             for task in tasks {
-                let submitted = match &read {
-                    Ok(read) => engine.submit_hand(&call, read, &task),
-                    Err(late) => Err(late.clone()),
-                };
-                let (engine, call) = (Arc::clone(&engine), call.clone());
+                let (engine, call, read) = (Arc::clone(&engine), call.clone(), read.clone());
+                let repeatable = repeatable.as_ref().map(|r| r.task(&task));
                 answers.spawn(async move {
-                    let answer = match submitted {
-                        Ok(ticket) => engine.answer(&call, &task, ticket).await,
-                        Err(error) => call.without_scene(error, &task),
+                    let plan = async || {
+                        // From here on the scene lives as long as the jobs that need it.
+                        let ticket = match read {
+                            Ok(read) => engine.submit_hand(&call, &read, &task)?,
+                            Err(late) => return call.without_scene(late, &task),
+                        };
+                        engine.answer(&call, &task, ticket).await
                     };
+                    let answer = engine.once(repeatable.as_ref(), plan).await;
                     (task.id().to_owned(), answer)
                 });
             }
-            // From here on the scene lives as long as the jobs that need it.
             drop(read);
             tokio::select! {
                 biased;
@@ -121,6 +149,22 @@ impl PlannerService for PlannerApi {
         });
         Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
     }
+}
+
+/// A hash of a request that has an id; 0 for one that has none.
+fn asked(request_id: &str, request: &impl prost::Message) -> u64 {
+    if request_id.is_empty() {
+        return 0;
+    }
+    let mut hasher = DefaultHasher::new();
+    hasher.write(&request.encode_to_vec());
+    hasher.finish()
+}
+
+/// How a request is known again.
+fn repeatable(request_id: Option<String>, caller: &Caller, asked: u64) -> Option<Repeatable> {
+    let key = |request_id| RequestKey { caller: caller.identity(), request_id, task_id: String::new() };
+    Some(Repeatable { key: key(request_id?), asked })
 }
 
 /// Sends each task's result as it comes, then the summary.
@@ -174,6 +218,7 @@ impl GraspStream {
         self,
         ticket: Ticket<Answer>,
         mut improved: watch::Receiver<Option<v1::PlanGraspsResponse>>,
+        leader: Option<Leader>,
     ) {
         let accepted = v1::Accepted { queue_position: count_message(ticket.position) };
         if !self.send(Ok(stream_grasps_response::Event::Accepted(accepted))).await {
@@ -189,6 +234,9 @@ impl GraspStream {
                 biased;
                 () = self.sender.closed() => return,
                 answer = &mut answer => {
+                    if let (Some(leader), Ok(answer)) = (leader, &answer) {
+                        leader.answer(answer);
+                    }
                     self.send(answer.map(stream_grasps_response::Event::Finished)).await;
                     return;
                 }
@@ -208,6 +256,26 @@ impl GraspStream {
                 }
             }
         }
+    }
+
+    /// The answer of the call that has the same id, without what it found on the way; this one plans only if that
+    /// one ends without an answer.
+    async fn repeat(self, repeatable: Option<Repeatable>) {
+        let accepted = v1::Accepted { queue_position: 0 };
+        if !self.send(Ok(stream_grasps_response::Event::Accepted(accepted))).await {
+            return;
+        }
+        let plan = async || {
+            let ticket = self.engine.submit_single(&self.call, &self.task, None)?;
+            self.engine.answer(&self.call, &self.task, ticket).await
+        };
+        let answer = tokio::select! {
+            biased;
+            () = self.sender.closed() => return,
+            answer = self.engine.once(repeatable.as_ref(), plan) => answer,
+            () = self.call.answer_due() => Err(self.call.late("with nothing to answer")),
+        };
+        self.send(answer.map(stream_grasps_response::Event::Finished)).await;
     }
 
     /// False when the caller is gone.

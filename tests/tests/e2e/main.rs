@@ -11,6 +11,7 @@ mod hands;
 mod lifecycle;
 mod planning;
 mod python;
+mod scheduling;
 mod streaming;
 
 use graspd_client::{CallError, ClientError, PlanGraspsRequest, PlanOptions, SceneOptions};

@@ -142,10 +142,11 @@ class AsyncPlanner:
         hand: HandLike,
         options: PlanOptions | None = None,
         scene_options: SceneOptions | None = None,
+        request_id: str | None = None,
         timeout: float | None = None,
     ) -> Plan:
         """Plans grasps of one hand; see `graspd.Planner.plan`."""
-        request = requests.plan_request(scene, intrinsics, hand, options, scene_options)
+        request = requests.plan_request(scene, intrinsics, hand, options, scene_options, self._id(request_id))
         method = self._connection.planner.PlanGrasps
         answer: planner_service_pb2.PlanGraspsResponse = await self._unary(
             lambda left: method(request, timeout=left, metadata=self._metadata),
@@ -162,11 +163,12 @@ class AsyncPlanner:
         hand: HandLike,
         options: PlanOptions | None = None,
         scene_options: SceneOptions | None = None,
+        request_id: str | None = None,
         timeout: float | None = None,
     ) -> AsyncStream[PlanEvent]:
         """Plans grasps of one hand and tells each better set as it is found; see `graspd.Planner.stream`."""
         request = planner_service_pb2.StreamGraspsRequest(
-            plan=requests.plan_request(scene, intrinsics, hand, options, scene_options)
+            plan=requests.plan_request(scene, intrinsics, hand, options, scene_options, self._id(request_id))
         )
         method = self._connection.planner.StreamGrasps
         return AsyncStream(
@@ -183,10 +185,11 @@ class AsyncPlanner:
         hands: Hands,
         options: PlanOptions | None = None,
         scene_options: SceneOptions | None = None,
+        request_id: str | None = None,
         timeout: float | None = None,
     ) -> MultiPlan:
         """Plans grasps of several hands in one scene; see `graspd.Planner.plan_hands`."""
-        request = requests.multi_hand_request(scene, intrinsics, hands, options, scene_options)
+        request = requests.multi_hand_request(scene, intrinsics, hands, options, scene_options, self._id(request_id))
         results: list[TaskResult] = []
         summary: planner_service_pb2.MultiHandSummary | None = None
         async with self._multi_hand(request, timeout) as stream:
@@ -205,10 +208,11 @@ class AsyncPlanner:
         hands: Hands,
         options: PlanOptions | None = None,
         scene_options: SceneOptions | None = None,
+        request_id: str | None = None,
         timeout: float | None = None,
     ) -> AsyncIterator[TaskResult]:
         """As `plan_hands`, each hand's result as soon as it is ready."""
-        request = requests.multi_hand_request(scene, intrinsics, hands, options, scene_options)
+        request = requests.multi_hand_request(scene, intrinsics, hands, options, scene_options, self._id(request_id))
         async with self._multi_hand(request, timeout) as stream:
             async for message in stream:
                 if message.WhichOneof("event") == "result":
@@ -299,6 +303,9 @@ class AsyncPlanner:
     @property
     def _metadata(self) -> tuple[tuple[str, str], ...]:
         return self._settings.metadata()
+
+    def _id(self, request_id: str | None) -> str:
+        return requests.chosen_id(request_id, self._settings.retry)
 
     def _timeout(self, timeout: float | None) -> float:
         return self._settings.timeout if timeout is None else timeout

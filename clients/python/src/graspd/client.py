@@ -157,6 +157,7 @@ class Planner:
         hand: HandLike,
         options: PlanOptions | None = None,
         scene_options: SceneOptions | None = None,
+        request_id: str | None = None,
         timeout: float | None = None,
         cancellation: Cancellation | None = None,
     ) -> Plan:
@@ -169,6 +170,8 @@ class Planner:
             hand: The hand's id, for example `"leap"`.
             options: How grasps are searched.
             scene_options: How the scene is read.
+            request_id: Makes repeating safe, at most 128 bytes: calls with one id are one call, and a repetition gets
+                the answer of the first, up to a minute later. Attempts of one call share an id of their own anyway.
             timeout: Deadline of this call, seconds.
             cancellation: A switch that ends the call from another thread.
 
@@ -183,7 +186,7 @@ class Planner:
             CallError: For everything else that the server says.
             ValueError: If an array cannot be what it should be.
         """
-        request = requests.plan_request(scene, intrinsics, hand, options, scene_options)
+        request = requests.plan_request(scene, intrinsics, hand, options, scene_options, self._id(request_id))
         answer: planner_service_pb2.PlanGraspsResponse = self._unary(
             lambda left: self._planner.PlanGrasps.future(request, timeout=left, metadata=self._metadata),
             timeout,
@@ -200,6 +203,7 @@ class Planner:
         hand: HandLike,
         options: PlanOptions | None = None,
         scene_options: SceneOptions | None = None,
+        request_id: str | None = None,
         timeout: float | None = None,
     ) -> Stream[PlanEvent]:
         """Plans grasps of one hand and tells each better set as soon as it is found.
@@ -208,7 +212,7 @@ class Planner:
         `with` block, or `cancel()`, ends the work.
         """
         request = planner_service_pb2.StreamGraspsRequest(
-            plan=requests.plan_request(scene, intrinsics, hand, options, scene_options)
+            plan=requests.plan_request(scene, intrinsics, hand, options, scene_options, self._id(request_id))
         )
         return Stream(
             lambda left: self._planner.StreamGrasps(request, timeout=left, metadata=self._metadata),
@@ -224,6 +228,7 @@ class Planner:
         hands: Hands,
         options: PlanOptions | None = None,
         scene_options: SceneOptions | None = None,
+        request_id: str | None = None,
         timeout: float | None = None,
         cancellation: Cancellation | None = None,
     ) -> MultiPlan:
@@ -239,7 +244,7 @@ class Planner:
         Raises:
             CallError: If the question as a whole failed; as for `plan`.
         """
-        request = requests.multi_hand_request(scene, intrinsics, hands, options, scene_options)
+        request = requests.multi_hand_request(scene, intrinsics, hands, options, scene_options, self._id(request_id))
         results: list[TaskResult] = []
         summary: planner_service_pb2.MultiHandSummary | None = None
         switch = cancellation or Cancellation()
@@ -259,10 +264,11 @@ class Planner:
         hands: Hands,
         options: PlanOptions | None = None,
         scene_options: SceneOptions | None = None,
+        request_id: str | None = None,
         timeout: float | None = None,
     ) -> Iterator[TaskResult]:
         """As `plan_hands`, each hand's result as soon as it is ready. Closing the iterator ends the work."""
-        request = requests.multi_hand_request(scene, intrinsics, hands, options, scene_options)
+        request = requests.multi_hand_request(scene, intrinsics, hands, options, scene_options, self._id(request_id))
         return self._results(request, timeout)
 
     def _results(
@@ -377,6 +383,9 @@ class Planner:
     @property
     def _metadata(self) -> tuple[tuple[str, str], ...]:
         return self._settings.metadata()
+
+    def _id(self, request_id: str | None) -> str:
+        return requests.chosen_id(request_id, self._settings.retry)
 
     def _timeout(self, timeout: float | None) -> float:
         return self._settings.timeout if timeout is None else timeout

@@ -18,6 +18,15 @@ _REACHING = {
     "free": wire.REACHING_FREE,
 }
 
+_PRIORITIES = {
+    "low": wire.PRIORITY_LOW,
+    "normal": wire.PRIORITY_NORMAL,
+    "high": wire.PRIORITY_HIGH,
+    "servo": wire.PRIORITY_SERVO,
+}
+
+Priority: TypeAlias = Literal["low", "normal", "high", "servo"]
+"""Work that may wait; the default; a robot stands still until it is answered; a correction of a motion under way."""
 Reaching: TypeAlias = Literal["top_down", "camera_ray", "free"]
 """Straight down onto the table; along the camera's ray to what it sees; or any direction within 1.3 rad of down."""
 
@@ -135,13 +144,22 @@ class PlanOptions:
     batch_size: int = 0
     """Candidates that are optimized together, 1 to 4096; 0 means 48."""
     scheme: tuple[int, int] | None = None
-    """Iterations, and how many of the last also avoid penetration; (200, 40) by default."""
+    """Iterations, and how many of the last also avoid penetration. By default (200, 40), or less where the deadline
+    leaves no time for it."""
     trace: bool = False
     """Return the objective's terms of every iteration too."""
+    priority: Priority = "normal"
+    """How urgent it is. Callers may be limited to some priorities."""
+    require_complete: bool = False
+    """Do not answer with the best so far: a search that time ends early is `DeadlineExceededError`."""
 
     def to_wire(self) -> wire.PlanOptions:
         """The options as a message."""
+        if self.priority not in _PRIORITIES:
+            raise ValueError(f"priority: found {self.priority!r}, expected one of {', '.join(_PRIORITIES)}")
         message = wire.PlanOptions(
+            priority=_PRIORITIES[self.priority],
+            require_complete=self.require_complete,
             batch_size=self.batch_size,
             seed=self.seed,
             max_grasp_count=self.max_grasps,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from graspd.frames import DepthFrame, Frames, IntrinsicsLike, as_frames
 from graspd.hands import HandLike, hand_id, hand_name
 from graspd.options import PlanOptions, SceneOptions
+from graspd.retry import RetryPolicy
 from graspd.v1 import frame_pb2
 from graspd.v1 import planner_service_pb2 as wire
 
@@ -39,6 +41,7 @@ def plan_request(
     hand: HandLike,
     options: PlanOptions | None,
     scene_options: SceneOptions | None,
+    request_id: str,
 ) -> wire.PlanGraspsRequest:
     """The question for one hand."""
     return wire.PlanGraspsRequest(
@@ -46,6 +49,7 @@ def plan_request(
         frames=_frames(scene, intrinsics),
         scene_options=None if scene_options is None else scene_options.to_wire(),
         options=None if options is None else options.to_wire(),
+        request_id=request_id,
     )
 
 
@@ -55,6 +59,7 @@ def multi_hand_request(
     hands: Hands,
     options: PlanOptions | None,
     scene_options: SceneOptions | None,
+    request_id: str,
 ) -> wire.PlanMultiHandRequest:
     """The question for several hands."""
     tasks: list[tuple[str, HandTask]] = []
@@ -77,7 +82,15 @@ def multi_hand_request(
         frames=_frames(scene, intrinsics),
         scene_options=None if scene_options is None else scene_options.to_wire(),
         tasks=[message(name, task) for name, task in tasks],
+        request_id=request_id,
     )
+
+
+def chosen_id(request_id: str | None, policy: RetryPolicy) -> str:
+    """The id of a call: the caller's, else a new one where the call may be repeated."""
+    if request_id is not None:
+        return request_id
+    return uuid.uuid4().hex if policy.attempts > 1 else ""
 
 
 def _frames(scene: Scene, intrinsics: IntrinsicsLike | None) -> list[frame_pb2.DepthFrame]:

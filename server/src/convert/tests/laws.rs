@@ -80,6 +80,8 @@ prop_compose! {
             pregrasp_offset_m: shares[5],
             opening_fraction: shares[6],
             trace: false,
+            priority: numbers.4,
+            require_complete: numbers.0 % 2 == 0,
         }
     }
 }
@@ -88,7 +90,7 @@ proptest! {
     #[test]
     fn no_frame_panics_and_what_is_accepted_is_sound(wire in any_frame()) {
         let request = v1::PlanGraspsRequest { frames: vec![wire], ..request() };
-        if let Ok((scene, _)) = plan_grasps(request, "") {
+        if let Ok(Parsed { scene, .. }) = plan_grasps(request, "") {
             let frame = &scene.frames[0];
             if let Some(pose) = frame.world_from_camera {
                 prop_assert!((pose.rotation.norm() - 1.0).abs() < 1e-9);
@@ -109,7 +111,7 @@ proptest! {
         request.frames[0].labels = Some(v1::LabelImage { encoding: 1, data: vec![0; 8].into() });
         plan_grasps(v1::PlanGraspsRequest { hand, ..request.clone() }, "").ok();
         request.options = Some(wire);
-        if let Ok((_, job)) = plan_grasps(request, "") {
+        if let Ok(Parsed { jobs: job, .. }) = plan_grasps(request, "") {
             let options = job.options;
             prop_assert!((1..=4096).contains(&options.batch));
             prop_assert!(options.scheme.with_penetration <= options.scheme.iterations);

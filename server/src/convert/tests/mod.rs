@@ -63,7 +63,7 @@ fn lens(edit: impl FnOnce(&mut v1::CameraIntrinsics)) -> v1::PlanGraspsRequest {
 
 #[test]
 fn nothing_but_a_frame_takes_the_defaults() {
-    let (scene, job) = plan_grasps(request(), "").unwrap();
+    let Parsed { scene, jobs: job, .. } = plan_grasps(request(), "").unwrap();
     assert_eq!(scene.options, SceneOptions::default());
     assert_eq!(scene.estimator, None);
     assert_eq!((scene.world_frame_id(), scene.camera_frame_id()), ("camera", "camera"));
@@ -96,7 +96,7 @@ fn everything_that_is_asked_for_arrives() {
         o.min_score = Some(0.0);
         o.trace = true;
     });
-    let (_, job) = plan_grasps(wire, "").unwrap();
+    let Parsed { jobs: job, .. } = plan_grasps(wire, "").unwrap();
     let options = job.options;
     assert_eq!((options.batch, options.scheme), (100, Scheme::QUICK));
     assert!(matches!(options.reaching, Reaching::Direction(d) if (d.z + 1.0).abs() < 1e-12));
@@ -121,7 +121,7 @@ fn everything_that_is_asked_for_arrives() {
     let region = flat.scene_options.as_mut().unwrap().grasp_region.as_mut().unwrap();
     region.half_extents_m = Some(v1::Vector3 { x: 0.17, y: 0.0, z: 0.2 });
     assert_eq!(plan_grasps(flat, "").unwrap_err().field, "scene_options.grasp_region.half_extents_m.y");
-    let (scene, _) = plan_grasps(placed, "").unwrap();
+    let Parsed { scene, .. } = plan_grasps(placed, "").unwrap();
     assert_eq!((scene.world_frame_id(), scene.camera_frame_id()), ("base", "camera"));
     assert_eq!(scene.estimator.as_deref(), Some("net"));
     assert!(
@@ -139,15 +139,15 @@ fn a_hand_that_reaches_from_anywhere_tilts_further_unless_told() {
             o.reaching = v1::Reaching::Free.into();
             o.orientation_limits = Some(v1::OrientationLimits { max_tilt_rad, roll });
         });
-        plan_grasps(wire, "").unwrap().1.options.orientation
+        plan_grasps(wire, "").unwrap().jobs.options.orientation
     };
     let roll = Some(v1::RollRange { min_rad: 0.0, max_rad: 0.5 });
     assert_eq!(free(None, roll).cone_rad, 1.3);
     assert_eq!(free(None, roll).roll_rad, Some((0.0, 0.5)));
     assert_eq!(free(Some(0.2), None).cone_rad, 0.2);
     let unset = options(|o| o.reaching = v1::Reaching::Free.into());
-    assert_eq!(plan_grasps(unset, "").unwrap().1.options.orientation.cone_rad, 1.3);
-    let top_down = plan_grasps(options(|o| o.trace = true), "").unwrap().1.options;
+    assert_eq!(plan_grasps(unset, "").unwrap().jobs.options.orientation.cone_rad, 1.3);
+    let top_down = plan_grasps(options(|o| o.trace = true), "").unwrap().jobs.options;
     assert_eq!(top_down.orientation.cone_rad, std::f64::consts::FRAC_PI_3);
 }
 
@@ -170,7 +170,7 @@ fn tasks_are_checked_one_by_one() {
     let task =
         |id: &str| v1::HandTask { task_id: id.to_owned(), hand: "hands/leap".to_owned(), options: None };
     let with = |tasks| v1::PlanMultiHandRequest { frames: vec![frame()], tasks, ..Default::default() };
-    let (_, jobs) = multi_hand(with(vec![task("left"), task("right")])).unwrap();
+    let Parsed { jobs, .. } = multi_hand(with(vec![task("left"), task("right")])).unwrap();
     assert_eq!(jobs.iter().map(|j| j.task_id.as_str()).collect::<Vec<_>>(), ["left", "right"]);
     let bad_hand = v1::HandTask { hand: "x".to_owned(), ..task("b") };
     for (tasks, field) in [

@@ -45,7 +45,7 @@ fn sizes_are_checked_before_anything_is_decoded() {
     let many = fault(vec![posed.clone(), posed.clone(), posed.clone()]);
     assert_eq!(many.0, "plan.frames[2]");
     assert!(many.1.contains("12582912 pixels"), "{}", many.1);
-    let (scene, _) =
+    let Parsed { scene, .. } =
         plan_grasps(v1::PlanGraspsRequest { frames: vec![posed.clone(), posed], ..request() }, "").unwrap();
     assert_eq!(scene.room(), 1 + 4);
 
@@ -63,7 +63,8 @@ fn sizes_are_checked_before_anything_is_decoded() {
 fn a_header_that_promises_too_much_is_found_where_it_is_decoded() {
     let mut cut = png_frame(64, 48);
     cut.data.truncate(40);
-    let (scene, _) = plan_grasps(v1::PlanGraspsRequest { frames: vec![cut], ..request() }, "plan").unwrap();
+    let Parsed { scene, .. } =
+        plan_grasps(v1::PlanGraspsRequest { frames: vec![cut], ..request() }, "plan").unwrap();
     let error = scene.frames[0].decode().unwrap_err();
     assert_eq!((error.field.as_str(), error.reason), ("plan.frames[0].data", FieldReason::Image));
 }
@@ -72,7 +73,8 @@ fn a_header_that_promises_too_much_is_found_where_it_is_decoded() {
 fn room_grows_with_the_volume() {
     for (volume_resolution, room) in [(0, 1), (16, 1), (80, 1), (81, 2), (100, 2), (128, 5)] {
         let scene_options = Some(v1::SceneOptions { volume_resolution, ..Default::default() });
-        let (scene, _) = plan_grasps(v1::PlanGraspsRequest { scene_options, ..request() }, "").unwrap();
+        let Parsed { scene, .. } =
+            plan_grasps(v1::PlanGraspsRequest { scene_options, ..request() }, "").unwrap();
         assert_eq!(scene.room(), room, "{volume_resolution}");
     }
 }

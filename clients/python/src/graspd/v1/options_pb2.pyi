@@ -83,6 +83,38 @@ REACHING_FREE: Reaching.ValueType  # 4
 """Any direction within 1.3 rad of straight down (against the volume's z axis), drawn anew for each candidate."""
 Global___Reaching: _TypeAlias = Reaching  # noqa: Y015
 
+class _Priority:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _PriorityEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Priority.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    PRIORITY_UNSPECIFIED: _Priority.ValueType  # 0
+    """Same as NORMAL."""
+    PRIORITY_LOW: _Priority.ValueType  # 1
+    """Work that may wait: evaluation, recording."""
+    PRIORITY_NORMAL: _Priority.ValueType  # 2
+    """The default."""
+    PRIORITY_HIGH: _Priority.ValueType  # 3
+    """A robot stands still until it is answered."""
+    PRIORITY_SERVO: _Priority.ValueType  # 4
+    """A correction of a motion under way. The server keeps room for these that no other work takes."""
+
+class Priority(_Priority, metaclass=_PriorityEnumTypeWrapper):
+    """How urgent a call is. Callers may be limited to some of these; see the operations guide."""
+
+PRIORITY_UNSPECIFIED: Priority.ValueType  # 0
+"""Same as NORMAL."""
+PRIORITY_LOW: Priority.ValueType  # 1
+"""Work that may wait: evaluation, recording."""
+PRIORITY_NORMAL: Priority.ValueType  # 2
+"""The default."""
+PRIORITY_HIGH: Priority.ValueType  # 3
+"""A robot stands still until it is answered."""
+PRIORITY_SERVO: Priority.ValueType  # 4
+"""A correction of a motion under way. The server keeps room for these that no other work takes."""
+Global___Priority: _TypeAlias = Priority  # noqa: Y015
+
 @_typing.final
 class SceneOptions(_message.Message):
     """How the scene is read; shared by all hands of a request."""
@@ -385,6 +417,8 @@ class PlanOptions(_message.Message):
     PREGRASP_OFFSET_M_FIELD_NUMBER: _builtins.int
     OPENING_FRACTION_FIELD_NUMBER: _builtins.int
     TRACE_FIELD_NUMBER: _builtins.int
+    PRIORITY_FIELD_NUMBER: _builtins.int
+    REQUIRE_COMPLETE_FIELD_NUMBER: _builtins.int
     batch_size: _builtins.int
     """Candidates that are optimized together, 1 to 4096; 48 when 0."""
     reaching: Global___Reaching.ValueType
@@ -405,9 +439,17 @@ class PlanOptions(_message.Message):
     """Initial joints lie within this share of the closing range, more than 0, at most 1; 0.2 when unset."""
     trace: _builtins.bool
     """Return the objective's terms of every iteration too."""
+    priority: Global___Priority.ValueType
+    """How urgent it is. Of several tasks in a request the most urgent counts for reading the scene."""
+    require_complete: _builtins.bool
+    """Do not answer with the best so far: a search that the deadline or the budget ends before its last iteration
+    is DEADLINE_EXCEEDED.
+    """
     @_builtins.property
     def scheme(self) -> Global___Scheme:
-        """Iterations; 200, the last 40 with penetration, when unset."""
+        """Iterations. Unset: without a deadline 200, the last 40 with penetration; with one the largest of [200, 40],
+        [100, 40] and [60, 60] that fits before it and lets waiting calls meet theirs.
+        """
 
     @_builtins.property
     def reaching_direction(self) -> _geometry_pb2.Vector3:
@@ -450,10 +492,12 @@ class PlanOptions(_message.Message):
         pregrasp_offset_m: _builtins.float | None = ...,
         opening_fraction: _builtins.float | None = ...,
         trace: _builtins.bool = ...,
+        priority: Global___Priority.ValueType = ...,
+        require_complete: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_friction", b"_friction", "_min_score", b"_min_score", "_opening_fraction", b"_opening_fraction", "_pregrasp_offset_m", b"_pregrasp_offset_m", "budget", b"budget", "friction", b"friction", "min_score", b"min_score", "opening_fraction", b"opening_fraction", "orientation_limits", b"orientation_limits", "pregrasp_offset_m", b"pregrasp_offset_m", "reaching_direction", b"reaching_direction", "scheme", b"scheme", "target", b"target", "target_label", b"target_label", "target_point", b"target_point"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_friction", b"_friction", "_min_score", b"_min_score", "_opening_fraction", b"_opening_fraction", "_pregrasp_offset_m", b"_pregrasp_offset_m", "batch_size", b"batch_size", "budget", b"budget", "friction", b"friction", "keep_out_boxes", b"keep_out_boxes", "max_grasp_count", b"max_grasp_count", "min_score", b"min_score", "opening_fraction", b"opening_fraction", "orientation_limits", b"orientation_limits", "pregrasp_offset_m", b"pregrasp_offset_m", "reaching", b"reaching", "reaching_direction", b"reaching_direction", "scheme", b"scheme", "seed", b"seed", "target", b"target", "target_label", b"target_label", "target_point", b"target_point", "trace", b"trace"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_friction", b"_friction", "_min_score", b"_min_score", "_opening_fraction", b"_opening_fraction", "_pregrasp_offset_m", b"_pregrasp_offset_m", "batch_size", b"batch_size", "budget", b"budget", "friction", b"friction", "keep_out_boxes", b"keep_out_boxes", "max_grasp_count", b"max_grasp_count", "min_score", b"min_score", "opening_fraction", b"opening_fraction", "orientation_limits", b"orientation_limits", "pregrasp_offset_m", b"pregrasp_offset_m", "priority", b"priority", "reaching", b"reaching", "reaching_direction", b"reaching_direction", "require_complete", b"require_complete", "scheme", b"scheme", "seed", b"seed", "target", b"target", "target_label", b"target_label", "target_point", b"target_point", "trace", b"trace"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__friction: _TypeAlias = _typing.Literal["friction"]  # noqa: Y015
     _WhichOneofArgType__friction: _TypeAlias = _typing.Literal["_friction", b"_friction"]  # noqa: Y015

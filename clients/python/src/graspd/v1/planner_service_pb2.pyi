@@ -33,8 +33,14 @@ class PlanGraspsRequest(_message.Message):
     FRAMES_FIELD_NUMBER: _builtins.int
     SCENE_OPTIONS_FIELD_NUMBER: _builtins.int
     OPTIONS_FIELD_NUMBER: _builtins.int
+    REQUEST_ID_FIELD_NUMBER: _builtins.int
     hand: _builtins.str
     """"hands/{hand}". Required. NOT_FOUND when there is none of that name."""
+    request_id: _builtins.str
+    """Chosen by the caller, for example a UUID, at most 128 bytes: makes repeating safe. Calls of one caller with the
+    same id are one call: a repetition gets the answer of the first, up to a minute later, or waits for it. Another
+    request under the same id is INVALID_ARGUMENT (REQUEST_ID_REUSED). Empty: every call is its own.
+    """
     @_builtins.property
     def frames(self) -> _containers.RepeatedCompositeFieldContainer[_frame_pb2.DepthFrame]:
         """The scene: 1 to 16 frames of one moment. Required."""
@@ -54,10 +60,11 @@ class PlanGraspsRequest(_message.Message):
         frames: _abc.Iterable[_frame_pb2.DepthFrame] | None = ...,
         scene_options: _options_pb2.SceneOptions | None = ...,
         options: _options_pb2.PlanOptions | None = ...,
+        request_id: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["options", b"options", "scene_options", b"scene_options"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "hand", b"hand", "options", b"options", "scene_options", b"scene_options"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "hand", b"hand", "options", b"options", "request_id", b"request_id", "scene_options", b"scene_options"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -210,6 +217,11 @@ class PlanMultiHandRequest(_message.Message):
     FRAMES_FIELD_NUMBER: _builtins.int
     SCENE_OPTIONS_FIELD_NUMBER: _builtins.int
     TASKS_FIELD_NUMBER: _builtins.int
+    REQUEST_ID_FIELD_NUMBER: _builtins.int
+    request_id: _builtins.str
+    """As PlanGraspsRequest.request_id, for the answer of each task by itself: a repetition plans only for the tasks
+    that have no answer yet.
+    """
     @_builtins.property
     def frames(self) -> _containers.RepeatedCompositeFieldContainer[_frame_pb2.DepthFrame]:
         """The scene: 1 to 16 frames of one moment. Required."""
@@ -228,10 +240,11 @@ class PlanMultiHandRequest(_message.Message):
         frames: _abc.Iterable[_frame_pb2.DepthFrame] | None = ...,
         scene_options: _options_pb2.SceneOptions | None = ...,
         tasks: _abc.Iterable[Global___HandTask] | None = ...,
+        request_id: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["scene_options", b"scene_options"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "scene_options", b"scene_options", "tasks", b"tasks"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "request_id", b"request_id", "scene_options", b"scene_options", "tasks", b"tasks"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

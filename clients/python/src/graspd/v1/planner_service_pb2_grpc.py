@@ -30,7 +30,9 @@ class PlannerServiceStub(object):
 
     Time: work ends at the earlier of the call's gRPC deadline and PlanOptions.budget and answers with the best
     so far (PlanStats.budget_exhausted); DEADLINE_EXCEEDED when there is nothing to answer with. Dropping a call
-    or a stream cancels its work. A full queue answers RESOURCE_EXHAUSTED with google.rpc.RetryInfo at once.
+    or a stream cancels its work. A full queue answers RESOURCE_EXHAUSTED with google.rpc.RetryInfo at once, and so
+    does a server that expects not to finish before the deadline; a call that is still waiting at its deadline is
+    answered DEADLINE_EXCEEDED then.
 
     Errors carry google.rpc.ErrorInfo with domain "graspd.dev" and a reason, and google.rpc.BadRequest with the
     path of the field, what was found and what was expected. No grasp is not an error: the answer is OK, its list
@@ -65,7 +67,9 @@ class PlannerServiceServicer(object):
 
     Time: work ends at the earlier of the call's gRPC deadline and PlanOptions.budget and answers with the best
     so far (PlanStats.budget_exhausted); DEADLINE_EXCEEDED when there is nothing to answer with. Dropping a call
-    or a stream cancels its work. A full queue answers RESOURCE_EXHAUSTED with google.rpc.RetryInfo at once.
+    or a stream cancels its work. A full queue answers RESOURCE_EXHAUSTED with google.rpc.RetryInfo at once, and so
+    does a server that expects not to finish before the deadline; a call that is still waiting at its deadline is
+    answered DEADLINE_EXCEEDED then.
 
     Errors carry google.rpc.ErrorInfo with domain "graspd.dev" and a reason, and google.rpc.BadRequest with the
     path of the field, what was found and what was expected. No grasp is not an error: the answer is OK, its list
@@ -125,7 +129,9 @@ class PlannerService(object):
 
     Time: work ends at the earlier of the call's gRPC deadline and PlanOptions.budget and answers with the best
     so far (PlanStats.budget_exhausted); DEADLINE_EXCEEDED when there is nothing to answer with. Dropping a call
-    or a stream cancels its work. A full queue answers RESOURCE_EXHAUSTED with google.rpc.RetryInfo at once.
+    or a stream cancels its work. A full queue answers RESOURCE_EXHAUSTED with google.rpc.RetryInfo at once, and so
+    does a server that expects not to finish before the deadline; a call that is still waiting at its deadline is
+    answered DEADLINE_EXCEEDED then.
 
     Errors carry google.rpc.ErrorInfo with domain "graspd.dev" and a reason, and google.rpc.BadRequest with the
     path of the field, what was found and what was expected. No grasp is not an error: the answer is OK, its list
