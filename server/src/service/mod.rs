@@ -5,7 +5,7 @@ mod layer;
 mod planner;
 
 pub(crate) use hands::HandApi;
-pub(crate) use layer::CallLayer;
+pub(crate) use layer::{CallLayer, Gatekeeper};
 pub(crate) use planner::PlannerApi;
 
 use std::time::Instant;
