@@ -20,7 +20,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-use commands::{bench, demo, hands, plan, serve};
+use commands::{bench, demo, doctor, hands, load, plan, serve};
 #[cfg(feature = "sim")]
 use commands::{cell, dataset, eval};
 #[cfg(feature = "devices")]
@@ -36,11 +36,13 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Serve(serve::ServeArgs),
+    Serve(Box<serve::ServeArgs>),
     Plan(Box<plan::PlanArgs>),
     Hands(hands::HandsArgs),
     Demo(demo::DemoArgs),
     Bench(bench::BenchArgs),
+    Load(Box<load::LoadArgs>),
+    Doctor(Box<doctor::DoctorArgs>),
     #[cfg(feature = "sim")]
     Cell(cell::CellArgs),
     #[cfg(feature = "sim")]
@@ -72,6 +74,8 @@ fn main() -> ExitCode {
         Command::Hands(args) => hands::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Load(args) => load::run(args),
+        Command::Doctor(args) => doctor::run(args),
         #[cfg(feature = "sim")]
         Command::Cell(args) => cell::run(args),
         #[cfg(feature = "sim")]

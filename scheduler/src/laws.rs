@@ -252,7 +252,7 @@ proptest! {
         patience_ms in 100u64..3000,
         steps in vec(step(), 1..160),
     ) {
-        play(Config { slots, servo_slots, queue, patience: ms(patience_ms) }, steps);
+        play(Config { slots, servo_slots, queue, patience: ms(patience_ms), plain_fifo: false }, steps);
     }
 
     /// Whoever is in the queue begins, however many more urgent calls come every time a slot is free.
@@ -262,7 +262,7 @@ proptest! {
         waiting in 1usize..4,
         rivals in vec((1usize..4, 0u64..5, 50u64..500), 400),
     ) {
-        let config = Config { slots: 1, servo_slots: 0, queue, patience: ms(500) };
+        let config = Config { slots: 1, servo_slots: 0, queue, patience: ms(500), plain_fifo: false };
         let mut scheduler: Scheduler<usize> = Scheduler::new(config);
         let mut now = Time::ZERO;
         let ask = |priority, caller, deadline: Option<Time>, now| Ask {
@@ -297,7 +297,7 @@ proptest! {
     /// One caller that floods and one that asks now and then have the same share, and so have two hands.
     #[test]
     fn shares_are_fair(flood in 3usize..20, by_hand in any::<bool>(), seed in 0u64..1000) {
-        let config = Config { slots: 1, servo_slots: 0, queue: 24, patience: ms(60_000) };
+        let config = Config { slots: 1, servo_slots: 0, queue: 24, patience: ms(60_000), plain_fifo: false };
         let mut scheduler: Scheduler<usize> = Scheduler::new(config);
         let mut now = Time::ZERO;
         let mut served = [0u32; 2];
@@ -342,7 +342,7 @@ fn simple(priority: Priority, deadline: Option<u64>, least: u64) -> Ask {
 }
 
 fn scheduler(slots: usize, servo_slots: usize, queue: usize) -> Scheduler<&'static str> {
-    Scheduler::new(Config { slots, servo_slots, queue, patience: ms(10_000) })
+    Scheduler::new(Config { slots, servo_slots, queue, patience: ms(10_000), plain_fifo: false })
 }
 
 #[test]

@@ -238,6 +238,9 @@ impl<T> Scheduler<T> {
         ask: &Ask,
         victim: Option<usize>,
     ) -> Result<(), (Refusal, Duration)> {
+        if self.config.plain_fifo {
+            return Ok(());
+        }
         // Ordinary calls are not before servo calls and have no share in their slots.
         let order = self.in_order(now, victim);
         let peers: Vec<(Rank, &Ask)> = {
@@ -276,6 +279,9 @@ impl<T> Scheduler<T> {
 
     /// The waiting job that goes where there is no place for a newcomer.
     fn victim(&self, now: Time, ask: &Ask) -> Option<usize> {
+        if self.config.plain_fifo {
+            return None;
+        }
         let ranks = self.ranks(now);
         let last = |keep: &dyn Fn(&Waiting<T>) -> bool| {
             let calls = self.waiting.iter().enumerate().filter(|(_, w)| !w.continues && keep(w));
@@ -291,6 +297,9 @@ impl<T> Scheduler<T> {
 
     /// The job that has waited longest, if that is longer than anybody should.
     fn longest_waiting(&self, now: Time) -> Option<usize> {
+        if self.config.plain_fifo {
+            return None;
+        }
         let patience = self.config.patience;
         let late = self.waiting.iter().enumerate();
         let late = late.filter(|(_, w)| now.saturating_sub(w.ask.arrived) > patience);
@@ -317,6 +326,9 @@ impl<T> Scheduler<T> {
     }
 
     fn rank(&self, now: Time, id: JobId, ask: &Ask, (caller, hand): (f64, f64)) -> Rank {
+        if self.config.plain_fifo {
+            return (Reverse(Priority::Normal), false, false, ask.arrived, ask.arrived, id);
+        }
         let due = ask.deadline.unwrap_or(ask.arrived + self.config.patience);
         (
             Reverse(ask.priority),

@@ -79,6 +79,8 @@ pub struct Config {
     pub queue: usize,
     /// A job without a deadline is ordered as if it had this much time, and one that has waited so long is relieved.
     pub patience: Duration,
+    /// For comparison: jobs begin in the order of their arrival, and nothing is refused but by a full queue.
+    pub plain_fifo: bool,
 }
 
 /// Whether a waiting job can begin now.

@@ -20,6 +20,7 @@ use crate::deadline::{CallBudget, CallClock, Overrun};
 use crate::error::{FieldError, FieldReason, ServiceError};
 use crate::estimates::{Estimates, SceneKind};
 use crate::estimators::Estimators;
+use crate::metrics::{Metrics, PlanOutcome};
 use crate::pool::{Estimate, Flow, Order, Pool, PoolError, Priority, SceneRoom, Ticket, Turn};
 use crate::registry::Registry;
 use crate::scenes::{Scenes, SharedScene};
@@ -42,6 +43,8 @@ pub(crate) struct Engine {
     pub(crate) overrun: Arc<Overrun>,
     /// How long jobs take.
     pub(crate) estimates: Arc<Estimates>,
+    /// What is counted and timed.
+    pub(crate) metrics: Arc<Metrics>,
     /// Scenes that calls share.
     pub(crate) scenes: Scenes,
     /// Answers by request id.
@@ -66,6 +69,7 @@ pub(crate) struct Call {
     estimator: Arc<dyn ContactEstimator>,
     overrun: Arc<Overrun>,
     estimates: Arc<Estimates>,
+    metrics: Arc<Metrics>,
     /// How long the call's first job waited, where others continue it.
     scene_queued: Arc<OnceLock<Duration>>,
 }
@@ -132,6 +136,7 @@ impl Engine {
             estimator,
             overrun: Arc::clone(&self.overrun),
             estimates: Arc::clone(&self.estimates),
+            metrics: Arc::clone(&self.metrics),
             scene_queued: Arc::default(),
         })
     }
@@ -369,6 +374,7 @@ impl Call {
         let scene = scene::prepare(&frames, &self.scene.options, self.estimator.as_ref(), budget)
             .map_err(|error| self.scene_error(&error))?;
         self.estimates.observe_scene(self.scene_kind(), began.elapsed());
+        self.metrics.stages(stages.iter().chain(&scene.stages));
         Ok(ReadScene { scene, stages, invalid_pixels, _room: room })
     }
 
@@ -420,6 +426,15 @@ impl Call {
             self.overrun.observe(deadline);
         }
         self.estimates.observe_search(&task.hand.id, &plan.stats);
+        // The scene's own stages come first and were counted when it was read.
+        self.metrics.stages(plan.stats.stages.iter().skip(read.scene.stages.len()));
+        self.metrics.queued(task.job.priority, turn.queued);
+        let outcome = match plan.stats.stopped {
+            Some(Stop::Cancelled) => PlanOutcome::Failed,
+            _ if plan.grasps.is_empty() => PlanOutcome::NoGrasp,
+            _ => PlanOutcome::Grasps,
+        };
+        self.metrics.plan(&task.hand.id, outcome);
         match plan.stats.stopped {
             Some(Stop::Cancelled) => Err(ServiceError::Cancelled),
             Some(Stop::Deadline)

@@ -179,6 +179,38 @@ pub enum ServiceError {
     /// The id of the request was used for another one.
     #[error("request_id: found one that was used for another request, expected a new one for each request")]
     RequestIdReused,
+    /// Nobody knows who calls.
+    #[error("not authenticated: {problem}")]
+    Unauthenticated {
+        /// What is wrong.
+        problem: &'static str,
+    },
+    /// The caller may not call this method, or not with this priority.
+    #[error("{what} asks for the role {needs}, and {caller} is {has}")]
+    Forbidden {
+        /// What was asked for.
+        what: String,
+        /// The least role that may.
+        needs: &'static str,
+        /// The caller's name.
+        caller: String,
+        /// The caller's role.
+        has: &'static str,
+    },
+    /// The caller has as much as it may have.
+    #[error("quota: {what}: {limit} are the most for one caller")]
+    Quota {
+        /// Of what.
+        what: &'static str,
+        /// The most.
+        limit: u64,
+    },
+    /// The request does not arrive.
+    #[error("the request has not arrived within {limit:?} of its headers")]
+    SlowRequest {
+        /// Time for it.
+        limit: Duration,
+    },
     /// The server is shutting down.
     #[error("the server is shutting down")]
     Draining,

@@ -9,6 +9,7 @@ pub mod error;
 pub mod estimators;
 pub mod pool;
 pub mod registry;
+pub mod security;
 pub mod status;
 
 mod answers;
@@ -17,6 +18,8 @@ mod convert;
 mod deadline;
 mod engine;
 mod estimates;
+mod http;
+mod metrics;
 mod scenes;
 mod serve;
 mod service;

@@ -48,6 +48,8 @@ pub struct PoolConfig {
     /// Room for scenes that are alive at the same time; a scene of the default size takes 1, and one that
     /// takes more than there is has all of it for itself.
     pub scene_room: usize,
+    /// For comparison: order of arrival, nothing refused but by a full queue.
+    pub plain_fifo: bool,
 }
 
 impl PoolConfig {
@@ -55,7 +57,7 @@ impl PoolConfig {
     /// time, because the stages of a job do not all use every core. One slot more for servo work.
     pub fn for_cores(cores: usize) -> Self {
         let threads = cores.max(1);
-        Self { threads, slots: threads.min(4), servo_slots: 1, queue: 16, scene_room: 3 }
+        Self { threads, slots: threads.min(4), servo_slots: 1, queue: 16, scene_room: 3, plain_fifo: false }
     }
 }
 
@@ -153,6 +155,7 @@ impl Pool {
             servo_slots: config.servo_slots,
             queue: config.queue,
             patience: PATIENCE,
+            plain_fifo: config.plain_fifo,
         });
         let shared = Arc::new(Shared {
             epoch: Instant::now(),

@@ -13,7 +13,7 @@ use graspd_proto::v1::info_service_server::InfoServiceServer;
 use graspd_proto::v1::planner_service_server::PlannerServiceServer;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
-use tonic::transport::server::TcpIncoming;
+use tokio::task::JoinHandle;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
@@ -22,7 +22,8 @@ use crate::estimators::Estimators;
 use crate::pool::{Pool, PoolConfig, PoolError};
 use crate::registry::{FolderError, Registry};
 use crate::scenes::Scenes;
-use crate::service::{CallLayer, HandApi, InfoApi, PlannerApi};
+use crate::security::{Acceptor, Access, Limits, Quotas, Tls, TlsError, WrongAccess, accept};
+use crate::service::{CallLayer, Gatekeeper, HandApi, InfoApi, PlannerApi};
 
 /// HTTP/2 window of a stream: a whole depth frame, so that it is not throttled by round trips.
 const STREAM_WINDOW_BYTES: u32 = 8 << 20;
@@ -46,6 +47,14 @@ pub struct ServerConfig {
     pub insecure_listen: bool,
     /// Largest message that is taken, bytes. Default 16 MiB.
     pub max_message_bytes: usize,
+    /// Certificates. Default none: connections are not encrypted.
+    pub tls: Option<Tls>,
+    /// Who may call. Default: whoever can connect.
+    pub access: Access,
+    /// How much there may be of everything.
+    pub limits: Limits,
+    /// Address of `/metrics`, `/livez` and `/readyz`, over HTTP without encryption. Default none.
+    pub metrics_listen: Option<SocketAddr>,
     /// The planning pool. Default: by the number of cores.
     pub pool: PoolConfig,
     /// A folder of hands to offer besides the library. Default none.
@@ -63,6 +72,10 @@ impl Default for ServerConfig {
             listen: SocketAddr::from(([127, 0, 0, 1], 50051)),
             insecure_listen: false,
             max_message_bytes: 16 << 20,
+            tls: None,
+            access: Access::default(),
+            limits: Limits::default(),
+            metrics_listen: None,
             pool: PoolConfig::for_cores(cores),
             hands_dir: None,
             estimators: Estimators::default(),
@@ -78,13 +91,28 @@ pub enum ServeError {
     /// The address is not a loopback address.
     #[error(
         "refusing to listen on {addr}: other machines could reach it and the connection would not be encrypted; \
-         listen on a loopback address such as 127.0.0.1:{port}, or allow it with --insecure-listen",
+         name a certificate, listen on a loopback address such as 127.0.0.1:{port}, or allow it with --insecure-listen",
         port = addr.port()
     )]
     NotLoopback {
         /// The address.
         addr: SocketAddr,
     },
+    /// The address is not a loopback address, and anybody could call.
+    #[error(
+        "refusing to listen on {addr}: anybody who reaches it could call; name access tokens, or require client \
+         certificates, or allow it with --insecure-listen"
+    )]
+    Anybody {
+        /// The address.
+        addr: SocketAddr,
+    },
+    /// The certificates cannot be used.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
+    /// The list of who may call is not one.
+    #[error(transparent)]
+    Access(#[from] WrongAccess),
     /// The address cannot be bound.
     #[error("cannot listen on {addr}")]
     Bind {
@@ -116,6 +144,9 @@ pub struct Server {
     listener: TcpListener,
     local_addr: SocketAddr,
     engine: Arc<Engine>,
+    acceptor: Option<Acceptor>,
+    /// Metrics and readiness.
+    http: Option<TcpListener>,
     config: ServerConfig,
 }
 
@@ -154,9 +185,16 @@ impl Server {
     /// [`ServeError`] when the address is refused or taken, or the folder of hands is not in order.
     pub async fn bind(config: ServerConfig) -> Result<Self, ServeError> {
         let addr = config.listen;
+        config.access.check()?;
         if !addr.ip().is_loopback() && !config.insecure_listen {
-            return Err(ServeError::NotLoopback { addr });
+            if config.tls.is_none() {
+                return Err(ServeError::NotLoopback { addr });
+            }
+            if !config.access_required() {
+                return Err(ServeError::Anybody { addr });
+            }
         }
+        let acceptor = config.tls.clone().map(Acceptor::new).transpose()?;
         let hands_dir = config.hands_dir.clone();
         let registry = tokio::task::spawn_blocking(move || -> Result<Registry, FolderError> {
             let registry = Registry::with_library();
@@ -175,18 +213,30 @@ impl Server {
             aborted: Arc::default(),
             overrun: Arc::default(),
             estimates: Arc::default(),
+            metrics: Arc::default(),
             scenes: Scenes::default(),
             answers: Arc::default(),
         });
         let fault = |source| ServeError::Bind { addr, source };
         let listener = TcpListener::bind(addr).await.map_err(fault)?;
         let local_addr = listener.local_addr().map_err(fault)?;
-        Ok(Self { listener, local_addr, engine, config })
+        let http = match config.metrics_listen {
+            None => None,
+            Some(addr) => {
+                Some(TcpListener::bind(addr).await.map_err(|source| ServeError::Bind { addr, source })?)
+            }
+        };
+        Ok(Self { listener, local_addr, engine, acceptor, http, config })
     }
 
     /// The address that the server listens on, with its real port.
     pub fn local_addr(&self) -> SocketAddr {
         self.local_addr
+    }
+
+    /// The address of metrics and readiness, if there is one, with its real port.
+    pub fn metrics_addr(&self) -> Option<SocketAddr> {
+        self.http.as_ref().and_then(|listener| listener.local_addr().ok())
     }
 
     /// A view of the planning pool that outlives the server's own handle.
@@ -200,7 +250,7 @@ impl Server {
     /// # Errors
     /// [`ServeError`] when the transport fails.
     pub async fn serve_until(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
-        let Self { listener, local_addr, engine, config } = self;
+        let Self { listener, local_addr, engine, acceptor, http, config } = self;
         let draining: Arc<AtomicBool> = Arc::default();
         let planner = PlannerServiceServer::new(PlannerApi { engine: Arc::clone(&engine) })
             .max_decoding_message_size(config.max_message_bytes);
@@ -217,13 +267,27 @@ impl Server {
                 .register_encoded_file_descriptor_set(graspd_proto::FILE_DESCRIPTOR_SET)
                 .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         };
+        let gatekeeper = Arc::new(Gatekeeper {
+            draining: Arc::clone(&draining),
+            access: config.access.clone(),
+            access_required: config.access_required(),
+            quotas: Arc::new(Quotas::new(config.limits)),
+            receive: config.limits.receive,
+            metrics: Arc::clone(&engine.metrics),
+        });
+        let watched = http.map(|listener| {
+            tokio::spawn(crate::http::serve(listener, Arc::clone(&engine), Arc::clone(&draining)))
+        });
+        let _watched = AbortOnDrop(watched);
         let router = tonic::transport::Server::builder()
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
             .max_concurrent_streams(STREAMS_PER_CONNECTION)
             .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
             .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
-            .layer(CallLayer { draining: Arc::clone(&draining) })
+            .http2_max_header_list_size(Some(config.limits.header_bytes))
+            .http2_max_pending_accept_reset_streams(Some(STREAMS_PER_CONNECTION as usize))
+            .layer(CallLayer(gatekeeper))
             .add_service(health_service)
             .add_service(described().build_v1()?)
             // What tools of yesterday ask for.
@@ -231,7 +295,9 @@ impl Server {
             .add_service(planner)
             .add_service(hands)
             .add_service(info);
-        let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+        let watching = acceptor.clone().map(|acceptor| tokio::spawn(acceptor.watch()));
+        let _watching = AbortOnDrop(watching);
+        let incoming = accept(listener, acceptor, config.limits);
         let (stop, stopped) = oneshot::channel::<()>();
         let serving = router.serve_with_incoming_shutdown(incoming, async {
             stopped.await.ok();
@@ -258,6 +324,25 @@ impl Server {
             Ok(ended) => Ok(ended?),
             Err(_) => Ok(()),
         }
+    }
+}
+
+/// Ends a task with the server.
+struct AbortOnDrop(Option<JoinHandle<()>>);
+
+impl Drop for AbortOnDrop {
+    fn drop(&mut self) {
+        if let Some(task) = &self.0 {
+            task.abort();
+        }
+    }
+}
+
+impl ServerConfig {
+    /// True if callers must say who they are.
+    fn access_required(&self) -> bool {
+        let certificates = self.tls.as_ref().is_some_and(|tls| tls.client_roots.is_some());
+        !self.access.tokens.is_empty() || certificates
     }
 }
 

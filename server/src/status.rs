@@ -141,6 +141,18 @@ fn mapping(error: &ServiceError) -> Mapping {
             mapping.details.set_retry_info(Some(*retry_after));
             mapping
         }
+        ServiceError::Unauthenticated { .. } => Mapping::new(Code::Unauthenticated, "UNAUTHENTICATED"),
+        ServiceError::Forbidden { needs, has, .. } => {
+            Mapping::new(Code::PermissionDenied, "FORBIDDEN").with("needs_role", needs).with("has_role", has)
+        }
+        ServiceError::Quota { what, limit } => {
+            let mut mapping = Mapping::new(Code::ResourceExhausted, "QUOTA");
+            mapping.details.add_quota_failure_violation(*what, format!("at most {limit} for one caller"));
+            mapping.with("limit", limit)
+        }
+        ServiceError::SlowRequest { limit } => {
+            Mapping::new(Code::DeadlineExceeded, "SLOW_REQUEST").with("limit_ms", limit.as_millis())
+        }
         ServiceError::RequestIdReused => Mapping::new(Code::InvalidArgument, "REQUEST_ID_REUSED")
             .violation("request_id", "found one that was used for another request, expected a new one"),
         ServiceError::Deadline { elapsed, stage } => {
@@ -242,6 +254,18 @@ mod tests {
                 "CANNOT_FINISH",
             ),
             (ServiceError::Shed { retry_after: Duration::from_millis(30) }, Code::ResourceExhausted, "SHED"),
+            (ServiceError::Unauthenticated { problem: "no token" }, Code::Unauthenticated, "UNAUTHENTICATED"),
+            (
+                ServiceError::Forbidden { what: text(), needs: "operator", caller: text(), has: "viewer" },
+                Code::PermissionDenied,
+                "FORBIDDEN",
+            ),
+            (ServiceError::Quota { what: "calls", limit: 4 }, Code::ResourceExhausted, "QUOTA"),
+            (
+                ServiceError::SlowRequest { limit: Duration::from_secs(1) },
+                Code::DeadlineExceeded,
+                "SLOW_REQUEST",
+            ),
             (ServiceError::RequestIdReused, Code::InvalidArgument, "REQUEST_ID_REUSED"),
             (ServiceError::Cancelled, Code::Cancelled, "CANCELLED"),
             (ServiceError::Draining, Code::Unavailable, "DRAINING"),

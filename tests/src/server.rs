@@ -20,6 +20,8 @@ pub struct TestServer {
     pub addr: SocketAddr,
     /// What its planning pool is doing.
     pub load: LoadProbe,
+    /// Where its metrics are.
+    pub metrics: Option<SocketAddr>,
     stop: oneshot::Sender<()>,
     ended: JoinHandle<Result<(), ServeError>>,
 }
@@ -30,7 +32,14 @@ impl TestServer {
     pub fn config() -> ServerConfig {
         ServerConfig {
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-            pool: PoolConfig { threads: 2, slots: 2, servo_slots: 1, queue: 4, scene_room: 3 },
+            pool: PoolConfig {
+                threads: 2,
+                slots: 2,
+                servo_slots: 1,
+                queue: 4,
+                scene_room: 3,
+                plain_fifo: false,
+            },
             estimators: Estimators::new(Arc::new(Geometric), vec![Arc::new(Panics), Arc::new(Stalls)]),
             ..ServerConfig::default()
         }
@@ -50,12 +59,12 @@ impl TestServer {
             Ok(server) => server,
             Err(error) => panic!("{error}"),
         };
-        let (addr, load) = (server.local_addr(), server.load());
+        let (addr, load, metrics) = (server.local_addr(), server.load(), server.metrics_addr());
         let (stop, stopped) = oneshot::channel();
         let ended = tokio::spawn(server.serve_until(async {
             stopped.await.ok();
         }));
-        Self { addr, load, stop, ended }
+        Self { addr, load, metrics, stop, ended }
     }
 
     /// Address for clients.

@@ -9,10 +9,12 @@ pub(crate) mod dataset;
 pub(crate) mod demo;
 #[cfg(feature = "devices")]
 pub(crate) mod device;
+pub(crate) mod doctor;
 #[cfg(feature = "devices")]
 pub(crate) mod emulate;
 #[cfg(feature = "sim")]
 pub(crate) mod eval;
 pub(crate) mod hands;
+pub(crate) mod load;
 pub(crate) mod plan;
 pub(crate) mod serve;

@@ -6,7 +6,7 @@ pub(crate) mod to_wire;
 use std::time::Duration;
 
 use anyhow::{Context as _, bail};
-use graspd_client::{Client, ClientConfig, HandTask, MultiHandEvent, PlanMultiHandRequest};
+use graspd_client::{Client, ClientConfig, ClientTls, HandTask, MultiHandEvent, PlanMultiHandRequest, Token};
 use graspd_proto::v1::hand_task_result;
 
 use crate::commands::plan::FrameFiles;
@@ -45,7 +45,25 @@ pub(crate) struct Answers {
 /// If nobody answers there.
 pub(crate) async fn connect(url: &str) -> anyhow::Result<Client> {
     let url = if url.contains("://") { url.to_owned() } else { format!("http://{url}") };
-    Ok(Client::connect(ClientConfig { call_timeout: CALL_TIMEOUT, ..ClientConfig::new(url) }).await?)
+    Ok(Client::connect(ClientConfig { call_timeout: CALL_TIMEOUT, ..config(url)? }).await?)
+}
+
+/// How a server is reached: the token in `GRASPD_TOKEN`, and for `https` the roots in the file that `GRASPD_ROOTS`
+/// names.
+///
+/// # Errors
+/// If that file is missing or cannot be read.
+pub(crate) fn config(url: String) -> anyhow::Result<ClientConfig> {
+    let variable = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
+    let tls = if url.starts_with("https://") {
+        let path =
+            variable("GRASPD_ROOTS").context("GRASPD_ROOTS: found nothing, expected a PEM file of roots")?;
+        let roots_pem = std::fs::read_to_string(&path).with_context(|| format!("GRASPD_ROOTS: {path}"))?;
+        Some(ClientTls { roots_pem, identity_pem: None, server_name: None })
+    } else {
+        None
+    };
+    Ok(ClientConfig { tls, token: variable("GRASPD_TOKEN").map(Token::new), ..ClientConfig::new(url) })
 }
 
 /// Asks a server, and waits for all answers.

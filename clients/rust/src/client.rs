@@ -6,7 +6,8 @@ use graspd_proto::v1::hand_service_client::HandServiceClient;
 use graspd_proto::v1::planner_service_client::PlannerServiceClient;
 use graspd_proto::v1::{PlanGraspsRequest, PlanGraspsResponse, PlanMultiHandRequest, StreamGraspsRequest};
 use tonic::Request;
-use tonic::transport::{Channel, Endpoint};
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 
 use crate::error::ClientError;
 use crate::retry::{RetryPolicy, retried};
@@ -30,6 +31,54 @@ pub struct ClientConfig {
     pub max_message_bytes: usize,
     /// What is repeated.
     pub retry: RetryPolicy,
+    /// How an `https` endpoint is known and who this client is. Default none: `http`.
+    pub tls: Option<ClientTls>,
+    /// Sent with every call, where the server asks for one. Default none.
+    pub token: Option<Token>,
+}
+
+/// What an encrypted connection needs, as PEM.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ClientTls {
+    /// Roots that the server's certificate must come from.
+    pub roots_pem: String,
+    /// This client's certificate and its key, where the server asks for one.
+    pub identity_pem: Option<(String, Secret)>,
+    /// Name in the server's certificate, where it is not the endpoint's.
+    pub server_name: Option<String>,
+}
+
+/// A bearer token.
+pub type Token = Secret;
+
+/// Text that does not appear in logs.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Secret(String);
+
+impl Secret {
+    /// Hides a text.
+    pub fn new(text: impl Into<String>) -> Self {
+        Self(text.into())
+    }
+}
+
+impl std::fmt::Debug for Secret {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Secret(…)")
+    }
+}
+
+impl ClientTls {
+    fn config(&self) -> ClientTlsConfig {
+        let mut config = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(&self.roots_pem));
+        if let Some((certificate, key)) = &self.identity_pem {
+            config = config.identity(Identity::from_pem(certificate, &key.0));
+        }
+        match &self.server_name {
+            Some(name) => config.domain_name(name),
+            None => config,
+        }
+    }
 }
 
 impl ClientConfig {
@@ -41,6 +90,8 @@ impl ClientConfig {
             call_timeout: Duration::from_secs(10),
             max_message_bytes: 64 << 20,
             retry: RetryPolicy::default(),
+            tls: None,
+            token: None,
         }
     }
 }
@@ -52,6 +103,7 @@ pub struct Client {
     pub(crate) hands: HandServiceClient<Channel>,
     pub(crate) call_timeout: Duration,
     pub(crate) retry: RetryPolicy,
+    authorization: Option<MetadataValue<Ascii>>,
 }
 
 impl Client {
@@ -67,6 +119,20 @@ impl Client {
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
             .tcp_nodelay(true);
+        let endpoint = match &config.tls {
+            Some(tls) => endpoint.tls_config(tls.config()).map_err(|e| fault(described(&e)))?,
+            None => endpoint,
+        };
+        let authorization = match &config.token {
+            None => None,
+            Some(token) => {
+                let value = MetadataValue::try_from(format!("Bearer {}", token.0));
+                let mut value = value
+                    .map_err(|_| fault("the token has characters that no header can have".to_owned()))?;
+                value.set_sensitive(true);
+                Some(value)
+            }
+        };
         let deadline = tokio::time::Instant::now() + config.connect_timeout;
         let channel = loop {
             match endpoint.connect().await {
@@ -84,6 +150,7 @@ impl Client {
             hands: HandServiceClient::new(channel).max_decoding_message_size(config.max_message_bytes),
             call_timeout: config.call_timeout,
             retry: config.retry,
+            authorization,
         })
     }
 
@@ -99,13 +166,23 @@ impl Client {
         Self { retry, ..self.clone() }
     }
 
+    /// A request that tells the server how long its caller waits, and who it is.
+    pub(crate) fn timed<T>(&self, message: T, left: Duration) -> Request<T> {
+        let mut request = Request::new(message);
+        request.set_timeout(left);
+        if let Some(authorization) = &self.authorization {
+            request.metadata_mut().insert("authorization", authorization.clone());
+        }
+        request
+    }
+
     /// Plans grasps of one hand.
     ///
     /// # Errors
     /// [`ClientError`]. No grasp is not an error; then `no_grasp` of the answer says why.
     pub async fn plan_grasps(&self, request: &PlanGraspsRequest) -> Result<PlanGraspsResponse, ClientError> {
         retried(&self.retry, self.call_timeout, |left| {
-            let (mut planner, request) = (self.planner.clone(), timed(request.clone(), left));
+            let (mut planner, request) = (self.planner.clone(), self.timed(request.clone(), left));
             async move { planner.plan_grasps(request).await.map(tonic::Response::into_inner) }
         })
         .await
@@ -119,7 +196,7 @@ impl Client {
         let deadline = tokio::time::Instant::now() + self.call_timeout;
         let stream = retried(&self.retry, self.call_timeout, |left| {
             let request = StreamGraspsRequest { plan: Some(request.clone()) };
-            let (mut planner, request) = (self.planner.clone(), timed(request, left));
+            let (mut planner, request) = (self.planner.clone(), self.timed(request, left));
             async move { planner.stream_grasps(request).await.map(tonic::Response::into_inner) }
         })
         .await?;
@@ -136,19 +213,12 @@ impl Client {
     ) -> Result<MultiHandStream, ClientError> {
         let deadline = tokio::time::Instant::now() + self.call_timeout;
         let stream = retried(&self.retry, self.call_timeout, |left| {
-            let (mut planner, request) = (self.planner.clone(), timed(request.clone(), left));
+            let (mut planner, request) = (self.planner.clone(), self.timed(request.clone(), left));
             async move { planner.plan_multi_hand(request).await.map(tonic::Response::into_inner) }
         })
         .await?;
         Ok(MultiHandStream::new(stream, deadline))
     }
-}
-
-/// A request that tells the server how long its caller waits.
-pub(crate) fn timed<T>(message: T, left: Duration) -> Request<T> {
-    let mut request = Request::new(message);
-    request.set_timeout(left);
-    request
 }
 
 /// An error with its causes: the transport keeps the useful part for the last one.

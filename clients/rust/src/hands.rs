@@ -7,7 +7,7 @@ use graspd_proto::v1::{
     ListHandsRequest, create_hand_request,
 };
 
-use crate::client::{Client, timed};
+use crate::client::Client;
 use crate::error::ClientError;
 use crate::retry::{RetryPolicy, retried};
 
@@ -34,7 +34,7 @@ impl Client {
         loop {
             let request = ListHandsRequest { page_size: 0, page_token };
             let page = retried(&self.retry, self.call_timeout, |left| {
-                let (mut hands, request) = (self.hands.clone(), timed(request.clone(), left));
+                let (mut hands, request) = (self.hands.clone(), self.timed(request.clone(), left));
                 async move { hands.list_hands(request).await.map(tonic::Response::into_inner) }
             })
             .await?;
@@ -53,7 +53,7 @@ impl Client {
     pub async fn get_hand(&self, name: &str) -> Result<Hand, ClientError> {
         let answer = retried(&self.retry, self.call_timeout, |left| {
             let (mut hands, request) =
-                (self.hands.clone(), timed(GetHandRequest { name: name.to_owned() }, left));
+                (self.hands.clone(), self.timed(GetHandRequest { name: name.to_owned() }, left));
             async move { hands.get_hand(request).await.map(tonic::Response::into_inner) }
         })
         .await?;
@@ -83,7 +83,7 @@ impl Client {
         }
         let answer = retried(&RetryPolicy::NONE, self.call_timeout, |left| {
             let (mut hands, messages) = (self.hands.clone(), std::mem::take(&mut messages));
-            let request = timed(tokio_stream::iter(messages), left);
+            let request = self.timed(tokio_stream::iter(messages), left);
             async move { hands.create_hand(request).await.map(tonic::Response::into_inner) }
         })
         .await?;
@@ -100,7 +100,7 @@ impl Client {
     pub async fn delete_hand(&self, name: &str) -> Result<(), ClientError> {
         retried(&RetryPolicy::NONE, self.call_timeout, |left| {
             let (mut hands, request) =
-                (self.hands.clone(), timed(DeleteHandRequest { name: name.to_owned() }, left));
+                (self.hands.clone(), self.timed(DeleteHandRequest { name: name.to_owned() }, left));
             async move { hands.delete_hand(request).await.map(drop) }
         })
         .await

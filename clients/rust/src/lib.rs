@@ -22,7 +22,7 @@ mod hands;
 mod retry;
 mod stream;
 
-pub use client::{Client, ClientConfig};
+pub use client::{Client, ClientConfig, ClientTls, Secret, Token};
 pub use error::{CallError, ClientError, Violation};
 pub use frame::{depth_frame_f32, depth_frame_u16};
 /// Every message of the protocol, for what the names below leave out.

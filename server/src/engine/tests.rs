@@ -50,7 +50,8 @@ fn request(hands: usize, volume_resolution: i32, block_mm: u16) -> v1::PlanMulti
 }
 
 fn engine(scene_room: usize) -> Arc<Engine> {
-    let config = PoolConfig { threads: 1, slots: 3, servo_slots: 0, queue: 64, scene_room };
+    let config =
+        PoolConfig { threads: 1, slots: 3, servo_slots: 0, queue: 64, scene_room, plain_fifo: false };
     Arc::new(Engine {
         pool: Pool::start(config).unwrap(),
         registry: Registry::with_library(),
@@ -59,6 +60,7 @@ fn engine(scene_room: usize) -> Arc<Engine> {
         overrun: Arc::default(),
         estimates: Arc::default(),
         scenes: Scenes::default(),
+        metrics: Arc::default(),
         answers: Arc::default(),
     })
 }

@@ -14,7 +14,8 @@ fn endless() -> CallBudget {
 }
 
 fn pool(slots: usize, queue: usize) -> Pool {
-    Pool::start(PoolConfig { threads: 1, slots, servo_slots: 0, queue, scene_room: 2 }).unwrap()
+    Pool::start(PoolConfig { threads: 1, slots, servo_slots: 0, queue, scene_room: 2, plain_fifo: false })
+        .unwrap()
 }
 
 /// A scene of that size, not shared with anybody.
@@ -279,7 +280,8 @@ const SECOND: Duration = Duration::from_secs(1);
 
 #[tokio::test]
 async fn servo_jobs_begin_while_every_other_slot_is_busy() {
-    let config = PoolConfig { threads: 1, slots: 1, servo_slots: 1, queue: 4, scene_room: 2 };
+    let config =
+        PoolConfig { threads: 1, slots: 1, servo_slots: 1, queue: 4, scene_room: 2, plain_fifo: false };
     let pool = Pool::start(config).unwrap();
     let release = occupy(&pool);
     let mut waiting = pool.plain(&endless(), |_| "ordinary").unwrap();

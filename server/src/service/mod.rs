@@ -7,7 +7,7 @@ mod planner;
 
 pub(crate) use hands::HandApi;
 pub(crate) use info::InfoApi;
-pub(crate) use layer::CallLayer;
+pub(crate) use layer::{CallLayer, Gatekeeper};
 pub(crate) use planner::PlannerApi;
 
 use std::time::Instant;

@@ -12,7 +12,9 @@ mod lifecycle;
 mod planning;
 mod python;
 mod scheduling;
+mod security;
 mod streaming;
+mod telemetry;
 
 use graspd_client::{CallError, ClientError, PlanGraspsRequest, PlanOptions, SceneOptions};
 use graspd_tests::BoxScene;

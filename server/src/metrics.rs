@@ -1,0 +1,242 @@
+//! What the server counts and times, in the OpenMetrics format.
+
+use std::sync::Mutex;
+use std::sync::PoisonError;
+use std::time::Duration;
+
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::Registry;
+
+use crate::pool::{Pool, Priority};
+
+/// Seconds, from a millisecond to a minute.
+const BUCKETS: [f64; 16] =
+    [0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.175, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0];
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Call {
+    method: &'static str,
+    code: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Method {
+    method: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Reason {
+    reason: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Stage {
+    stage: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct ByPriority {
+    priority: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Plan {
+    hand: String,
+    outcome: &'static str,
+}
+
+type Times<L> = Family<L, Histogram, fn() -> Histogram>;
+
+fn times() -> Histogram {
+    Histogram::new(BUCKETS)
+}
+
+/// How a plan ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum PlanOutcome {
+    Grasps,
+    NoGrasp,
+    Failed,
+}
+
+/// All metrics of a server.
+#[derive(Debug)]
+pub(crate) struct Metrics {
+    registry: Mutex<Registry>,
+    calls: Family<Call, Counter>,
+    call_seconds: Times<Method>,
+    in_flight: Gauge,
+    refused: Family<Reason, Counter>,
+    stage_seconds: Times<Stage>,
+    queue_seconds: Times<ByPriority>,
+    plans: Family<Plan, Counter>,
+    queue_depth: Family<ByPriority, Gauge>,
+    running: Gauge,
+    slots: Gauge,
+    scene_room: Gauge,
+    scenes_read: Gauge,
+    slowest_release_ms: Gauge,
+    ready: Gauge,
+}
+
+impl Default for Metrics {
+    fn default() -> Self {
+        let metrics = Self {
+            registry: Mutex::default(),
+            calls: Family::default(),
+            call_seconds: Family::new_with_constructor(times),
+            in_flight: Gauge::default(),
+            refused: Family::default(),
+            stage_seconds: Family::new_with_constructor(times),
+            queue_seconds: Family::new_with_constructor(times),
+            plans: Family::default(),
+            queue_depth: Family::default(),
+            running: Gauge::default(),
+            slots: Gauge::default(),
+            scene_room: Gauge::default(),
+            scenes_read: Gauge::default(),
+            slowest_release_ms: Gauge::default(),
+            ready: Gauge::default(),
+        };
+        let mut registry = Registry::with_prefix("graspd");
+        registry.register("calls", "Calls that ended, by method and code", metrics.calls.clone());
+        registry.register(
+            "call_duration_seconds",
+            "From the headers of a call to the end of its answer",
+            metrics.call_seconds.clone(),
+        );
+        registry.register("calls_in_flight", "Calls that have not ended", metrics.in_flight.clone());
+        registry.register("calls_refused", "Calls that were refused, by reason", metrics.refused.clone());
+        registry.register(
+            "stage_duration_seconds",
+            "Stages of reading scenes and of searching grasps",
+            metrics.stage_seconds.clone(),
+        );
+        registry.register(
+            "queue_duration_seconds",
+            "Time that jobs waited before they began, by priority",
+            metrics.queue_seconds.clone(),
+        );
+        registry.register("plans", "Plans that ended, by hand and outcome", metrics.plans.clone());
+        registry.register("queue_depth", "Jobs that wait, by priority", metrics.queue_depth.clone());
+        registry.register("jobs_running", "Jobs that run", metrics.running.clone());
+        registry.register("slots", "Jobs that can run at the same time", metrics.slots.clone());
+        registry.register("scene_room_taken", "Room that scenes take in memory", metrics.scene_room.clone());
+        registry.register(
+            "scenes_read",
+            "Scenes that were read since the start",
+            metrics.scenes_read.clone(),
+        );
+        registry.register(
+            "slowest_release_milliseconds",
+            "The longest that a job ran on after its call was dropped",
+            metrics.slowest_release_ms.clone(),
+        );
+        registry.register("ready", "1 while calls are taken", metrics.ready.clone());
+        Self { registry: Mutex::new(registry), ..metrics }
+    }
+}
+
+impl Metrics {
+    /// A call begins; how it ends is told to what this returns.
+    pub(crate) fn begin(&self) {
+        self.in_flight.inc();
+    }
+
+    /// A call has ended.
+    pub(crate) fn end(&self, path: &str, code: tonic::Code, took: Duration) {
+        let method = method(path);
+        self.in_flight.dec();
+        self.calls.get_or_create(&Call { method, code: code_name(code) }).inc();
+        self.call_seconds.get_or_create(&Method { method }).observe(took.as_secs_f64());
+    }
+
+    /// A call was refused for a reason of load.
+    pub(crate) fn refuse(&self, reason: &'static str) {
+        self.refused.get_or_create(&Reason { reason }).inc();
+    }
+
+    /// Stages have ended.
+    pub(crate) fn stages<'a>(&self, stages: impl IntoIterator<Item = &'a (&'static str, Duration)>) {
+        for (stage, took) in stages {
+            self.stage_seconds.get_or_create(&Stage { stage }).observe(took.as_secs_f64());
+        }
+    }
+
+    /// A job has begun after so long.
+    pub(crate) fn queued(&self, priority: Priority, waited: Duration) {
+        let label = ByPriority { priority: priority.name() };
+        self.queue_seconds.get_or_create(&label).observe(waited.as_secs_f64());
+    }
+
+    /// A plan has ended.
+    pub(crate) fn plan(&self, hand: &str, outcome: PlanOutcome) {
+        let outcome = match outcome {
+            PlanOutcome::Grasps => "grasps",
+            PlanOutcome::NoGrasp => "no_grasp",
+            PlanOutcome::Failed => "failed",
+        };
+        self.plans.get_or_create(&Plan { hand: hand.to_owned(), outcome }).inc();
+    }
+
+    /// Everything as text, with what the pool does right now.
+    pub(crate) fn encode(&self, pool: &Pool, scenes_read: u64, ready: bool) -> String {
+        let as_gauge = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
+        for (priority, waiting) in Priority::ALL.iter().zip(pool.waiting_by_priority()) {
+            self.queue_depth.get_or_create(&ByPriority { priority: priority.name() }).set(as_gauge(waiting));
+        }
+        self.running.set(as_gauge(pool.running()));
+        self.slots.set(as_gauge(pool.config().slots.max(1) + pool.config().servo_slots));
+        self.scene_room.set(as_gauge(pool.scene_room_taken()));
+        self.scenes_read.set(i64::try_from(scenes_read).unwrap_or(i64::MAX));
+        self.slowest_release_ms.set(i64::try_from(pool.slowest_release().as_millis()).unwrap_or(i64::MAX));
+        self.ready.set(i64::from(ready));
+        let mut text = String::new();
+        let registry = self.registry.lock().unwrap_or_else(PoisonError::into_inner);
+        // Writing to a string cannot fail.
+        prometheus_client::encoding::text::encode(&mut text, &registry).ok();
+        text
+    }
+}
+
+/// A method as a label: those that there are, and one name for all others, so that nobody makes labels.
+fn method(path: &str) -> &'static str {
+    const KNOWN: [&str; 7] = [
+        "/graspd.v1.PlannerService/PlanGrasps",
+        "/graspd.v1.PlannerService/StreamGrasps",
+        "/graspd.v1.PlannerService/PlanMultiHand",
+        "/graspd.v1.HandService/ListHands",
+        "/graspd.v1.HandService/GetHand",
+        "/graspd.v1.HandService/CreateHand",
+        "/graspd.v1.HandService/DeleteHand",
+    ];
+    let known = KNOWN.into_iter().find(|known| *known == path);
+    known.and_then(|path| path.rsplit('/').next()).unwrap_or("other")
+}
+
+fn code_name(code: tonic::Code) -> &'static str {
+    use tonic::Code;
+    match code {
+        Code::Ok => "OK",
+        Code::Cancelled => "CANCELLED",
+        Code::Unknown => "UNKNOWN",
+        Code::InvalidArgument => "INVALID_ARGUMENT",
+        Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
+        Code::NotFound => "NOT_FOUND",
+        Code::AlreadyExists => "ALREADY_EXISTS",
+        Code::PermissionDenied => "PERMISSION_DENIED",
+        Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
+        Code::FailedPrecondition => "FAILED_PRECONDITION",
+        Code::Aborted => "ABORTED",
+        Code::OutOfRange => "OUT_OF_RANGE",
+        Code::Unimplemented => "UNIMPLEMENTED",
+        Code::Internal => "INTERNAL",
+        Code::Unavailable => "UNAVAILABLE",
+        Code::DataLoss => "DATA_LOSS",
+        Code::Unauthenticated => "UNAUTHENTICATED",
+    }
+}
