@@ -19,6 +19,14 @@ pub trait Budget: Sync {
 
     /// `Some` once work has to stop.
     fn stop(&self) -> Option<Stop>;
+
+    /// [`Budget::stop`] as an error, for work of several steps that each take milliseconds.
+    ///
+    /// # Errors
+    /// [`Stop`] once work has to stop.
+    fn check(&self) -> Result<(), Stop> {
+        self.stop().map_or(Ok(()), Err)
+    }
 }
 
 /// Never stops and has no clock.

@@ -10,7 +10,7 @@ use crate::estimator::ContactEstimator;
 use crate::frame::{CleanOptions, Frame, FrameError, MAX_TRANSLATION_M, clean_depth};
 use crate::grid::{Grid, GridError};
 use crate::options::{Region, SceneOptions, WorkspaceRequest};
-use crate::refine::{Features, refine};
+use crate::refine::{Features, refine, refine_within};
 use crate::volume::{View, Volume, VoxelState};
 use crate::workspace::{FramePoints, Workspace, frame_points};
 
@@ -140,8 +140,10 @@ pub fn prepare(
     stages.end("frame")?;
 
     let (volume, views) = fuse(frames, &depths, &workspace, options);
+    budget.check().map_err(SceneError::Stopped)?;
     let solid = volume.solid();
     let surface = volume.surface(&solid, &views);
+    budget.check().map_err(SceneError::Stopped)?;
     let objects = volume.object_groups(&solid);
     let observation = observe(&volume, &objects);
     stages.end("volume")?;
@@ -153,7 +155,9 @@ pub fn prepare(
     }
     stages.end("estimate")?;
 
-    let features = refine(&contact_field, &solid, &surface, volume.table_m, volume.voxel_labels(), options);
+    let labels = volume.voxel_labels();
+    let features = refine_within(&contact_field, &solid, &surface, volume.table_m, labels, options, budget)
+        .map_err(SceneError::Stopped)?;
     let world_from_camera = points.world_from_camera;
     let eye = (workspace.world_from_volume.inverse() * world_from_camera) * Point3::origin();
     let view_direction = view_direction(&workspace.grid, &objects, &eye);

@@ -166,6 +166,9 @@ impl Engine {
         call.shared.want(&budget);
         let gate = Arc::clone(&call.shared) as Arc<dyn crate::pool::Gate>;
         let ticket = self.pool.submit(&budget, &order, Some(gate), move |mut turn| {
+            if job_call.is_hopeless(&job_task, &job_budget) {
+                return Err(job_call.late("in the queue"));
+            }
             match job_call.read_scene(&mut turn) {
                 Ok(read) => job_call.plan(&read, &turn, &job_task, &job_budget, on_better),
                 Err(error) => job_call.without_scene(error, &job_task),
@@ -316,6 +319,22 @@ impl Call {
             hand: tasks.first().map_or(Flow(0), |t| Caller::number(&t.hand.id)),
             estimate,
         }
+    }
+
+    /// True for a job whose turn has come too late for the whole search that its caller insists on: the time would be
+    /// wasted on it.
+    fn is_hopeless(&self, task: &Task, budget: &CallBudget) -> bool {
+        let (job, Some(deadline)) = (&task.job, budget.deadline()) else { return false };
+        let iterations =
+            if job.scheme_is_fixed { job.options.scheme.iterations } else { Scheme::QUICK.iterations };
+        let scene = if self.shared.read().is_some() {
+            Duration::ZERO
+        } else {
+            self.estimates.scene(&self.scene_kind())
+        };
+        let needs = scene + self.estimates.search(&task.hand.id, job.options.batch, iterations);
+        // Estimates are on the careful side.
+        job.require_complete && Instant::now() + needs.mul_f64(0.85) > deadline
     }
 
     /// How long the scene will take to read: nothing if another call has it already.

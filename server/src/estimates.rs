@@ -2,12 +2,13 @@
 //! go by.
 //!
 //! Reading a scene takes a time of its own for each estimator and size. A search takes time for each candidate and
-//! iteration, ranking for each candidate; both depend on the hand. Estimates are a moving mean and its deviation;
-//! nothing is known at the beginning, and then nothing is refused by estimate.
+//! iteration, ranking for each candidate; both depend on the hand. Estimates are a moving mean and a little of
+//! its deviation, and fade where no job confirms them; nothing is known at the beginning, and then nothing is refused by
+//! estimate.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use graspd_planner::grasp::PlanStats;
 use graspd_planner::options::Scheme;
@@ -15,7 +16,12 @@ use graspd_planner::options::Scheme;
 /// Weight of the newest observation.
 const NEWEST: f64 = 0.15;
 /// Deviations that are added to a mean.
-const DEVIATIONS: f64 = 1.0;
+const DEVIATIONS: f64 = 0.25;
+/// An estimate this old is not doubted.
+const FRESH: Duration = Duration::from_secs(1);
+/// An older one loses half of itself in this long. Who is refused by estimate does not run and teaches nothing: without
+/// this, a slow minute would refuse everybody for ever.
+const HALF_LIFE: Duration = Duration::from_secs(3);
 /// At most so many hands and kinds of scenes are remembered.
 const MOST: usize = 256;
 
@@ -25,10 +31,12 @@ struct Mean {
     mean: f64,
     deviation: f64,
     count: u32,
+    observed: Option<Instant>,
 }
 
 impl Mean {
     fn observe(&mut self, value: f64) {
+        self.observed = Some(Instant::now());
         self.count = self.count.saturating_add(1);
         // The first few count alike.
         let weight = NEWEST.max(1.0 / f64::from(self.count));
@@ -40,7 +48,13 @@ impl Mean {
     }
 
     fn expected(&self) -> f64 {
-        self.mean + DEVIATIONS * self.deviation
+        self.expected_at(Instant::now())
+    }
+
+    fn expected_at(&self, now: Instant) -> f64 {
+        let age = self.observed.map_or(Duration::ZERO, |at| now.saturating_duration_since(at));
+        let stale = age.saturating_sub(FRESH).as_secs_f64() / HALF_LIFE.as_secs_f64();
+        (self.mean + DEVIATIONS * self.deviation) * (-stale).exp2()
     }
 }
 
@@ -171,11 +185,21 @@ mod tests {
             wild.observe(if i % 2 == 0 { 1.0 } else { 3.0 });
         }
         assert!((steady.expected() - 2.0).abs() < 1e-9);
-        assert!(wild.expected() > 2.7, "{wild:?}");
+        assert!(wild.expected() > 2.15, "{wild:?}");
         for _ in 0..40 {
             steady.observe(4.0);
         }
         assert!(steady.mean > 3.9);
+    }
+
+    #[test]
+    fn an_estimate_that_nothing_confirms_fades() {
+        let mut mean = Mean::default();
+        mean.observe(8.0);
+        let now = mean.observed.unwrap();
+        let at = |seconds| mean.expected_at(now + Duration::from_secs(seconds));
+        assert_eq!(at(1), 8.0);
+        assert!((at(4) - 4.0).abs() < 1e-9 && (at(10) - 1.0).abs() < 1e-9);
     }
 
     #[test]

@@ -44,6 +44,11 @@ struct ByPriority {
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Within {
+    at_most_milliseconds: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Plan {
     hand: String,
     outcome: &'static str,
@@ -80,6 +85,7 @@ pub(crate) struct Metrics {
     scene_room: Gauge,
     scenes_read: Gauge,
     slowest_release_ms: Gauge,
+    releases: Family<Within, Gauge>,
     ready: Gauge,
 }
 
@@ -100,6 +106,7 @@ impl Default for Metrics {
             scene_room: Gauge::default(),
             scenes_read: Gauge::default(),
             slowest_release_ms: Gauge::default(),
+            releases: Family::default(),
             ready: Gauge::default(),
         };
         let mut registry = Registry::with_prefix("graspd");
@@ -135,6 +142,11 @@ impl Default for Metrics {
             "slowest_release_milliseconds",
             "The longest that a job ran on after its call was dropped",
             metrics.slowest_release_ms.clone(),
+        );
+        registry.register(
+            "releases",
+            "Jobs that ran when their call was dropped, by the milliseconds that they ran on at most",
+            metrics.releases.clone(),
         );
         registry.register("ready", "1 while calls are taken", metrics.ready.clone());
         Self { registry: Mutex::new(registry), ..metrics }
@@ -194,6 +206,10 @@ impl Metrics {
         self.scene_room.set(as_gauge(pool.scene_room_taken()));
         self.scenes_read.set(i64::try_from(scenes_read).unwrap_or(i64::MAX));
         self.slowest_release_ms.set(i64::try_from(pool.slowest_release().as_millis()).unwrap_or(i64::MAX));
+        for (at_most, count) in pool.releases() {
+            let label = Within { at_most_milliseconds: at_most };
+            self.releases.get_or_create(&label).set(i64::try_from(count).unwrap_or(i64::MAX));
+        }
         self.ready.set(i64::from(ready));
         let mut text = String::new();
         let registry = self.registry.lock().unwrap_or_else(PoisonError::into_inner);

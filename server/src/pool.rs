@@ -162,6 +162,7 @@ impl Pool {
             state: Mutex::new(State { scheduler, room_taken: 0, closed: false }),
             wake: Condvar::new(),
             slowest_release_us: Default::default(),
+            releases: Default::default(),
         });
         let pool = Self { shared: Arc::clone(&shared), config };
         for slot in 0..config.slots.max(1) + config.servo_slots {
@@ -241,6 +242,13 @@ impl Pool {
     /// The longest that a job has run on after it was cancelled.
     pub fn slowest_release(&self) -> Duration {
         Duration::from_micros(self.shared.slowest_release_us.load(std::sync::atomic::Ordering::Relaxed))
+    }
+
+    /// Jobs that ran when they were cancelled, by the milliseconds that they ran on at most.
+    pub fn releases(&self) -> Vec<(&'static str, u64)> {
+        let names = ["1", "2.5", "5", "10", "50", "more"];
+        let counts = self.shared.releases.iter().map(|n| n.load(std::sync::atomic::Ordering::Relaxed));
+        names.into_iter().zip(counts).collect()
     }
 
     /// How the pool is set up.

@@ -1,21 +1,24 @@
 #!/usr/bin/env python3
 """Overload: goodput at several times the capacity, beside a plain FIFO's. Needs a release build of graspd.
 
-For each factor the capacity is measured anew right before (closed loop, the scheduler's server), so that a shared
-machine's other load falls on both sides of each ratio. Prints a table and writes JSON.
+Capacity (closed loop, four callers, the scheduler's server) is measured before and after every single run, and the mean
+of both is what that run is compared with: a shared machine's other load moves both. Each factor is tried several times,
+the two servers in turn; printed are medians and ranges, and everything goes into the JSON file.
 
-    tests/load/overload.py target/release/graspd out.json [seconds of each run] [deadline, ms]
+    tests/load/overload.py target/release/graspd out.json [factors, e.g. 0.5,1,1.5,2,4] [tries] [seconds of each run]
 """
+
 
 import json
 import os
 import socket
+import statistics
 import subprocess
 import sys
 import time
 
-FACTORS = [0.5, 1.0, 1.5, 2.0, 4.0]
-COMMON = "--scheme 200,40 --batch 48 --require-complete --warmup 2 --json --connections 4".split()
+DEADLINE_MS = 1000
+COMMON = "--scheme 200,40 --batch 48 --require-complete --warmup 1 --json --connections 4".split()
 
 
 def free_port():
@@ -49,38 +52,57 @@ class Server:
         self.process.wait()
 
 
+def capacity(graspd, server):
+    return server.load(graspd, 3, 60000, "--concurrency", "4")["goodput_per_s"]
+
+
+def told(values, form="{:.2f}"):
+    values = sorted(values)
+    return f"{form} ({form} to {form})".format(statistics.median(values), values[0], values[-1])
+
+
 def main():
     graspd, out = sys.argv[1], sys.argv[2]
-    seconds = float(sys.argv[3]) if len(sys.argv) > 3 else 12
-    deadline = int(sys.argv[4]) if len(sys.argv) > 4 else 1000
-    ours, fifo = Server(graspd), Server(graspd, "--plain-fifo")
-    rows = []
+    factors = [float(f) for f in (sys.argv[3] if len(sys.argv) > 3 else "0.5,1,1.5,2,4").split(",")]
+    tries = int(sys.argv[4]) if len(sys.argv) > 4 else 5
+    seconds = float(sys.argv[5]) if len(sys.argv) > 5 else 10
+    servers = {"scheduler": Server(graspd), "fifo": Server(graspd, "--plain-fifo")}
+    ours, runs = servers["scheduler"], []
     try:
-        ours.load(graspd, 3, 60000, "--concurrency", "4")
-        for factor in FACTORS:
-            capacity = ours.load(graspd, 5, 60000, "--concurrency", "4")["goodput_per_s"]
-            row = {"factor": factor, "capacity_per_s": capacity, "load_average": os.getloadavg()[0]}
-            for name, server in [("scheduler", ours), ("fifo", fifo)]:
-                run = server.load(graspd, seconds, deadline, "--rate", str(capacity * factor))
-                for key in ["answered", "refused"]:
-                    run[key].pop("hdr_v2_base64_us")
-                run.pop("answered_by_priority")
-                row[name] = run
-                time.sleep(deadline / 1000)
-            rows.append(row)
-            s, f = row["scheduler"], row["fifo"]
-            print(
-                f"{factor:>4}x of {capacity:5.1f}/s: "
-                f"scheduler {s['goodput_per_s'] / capacity:4.2f} p99 {s['answered']['p99_ms']:6.0f} ms "
-                f"refused p50 {s['refused']['p50_ms']:.1f} p99 {s['refused']['p99_ms']:.1f} ms (n {s['refused']['count']}) {s['codes']}; "
-                f"fifo {f['goodput_per_s'] / capacity:4.2f} {f['codes']}; load {row['load_average']:.1f}",
-                flush=True,
-            )
+        before = capacity(graspd, ours)
+        for factor in factors:
+            for _ in range(tries):
+                for name, server in servers.items():
+                    run = server.load(graspd, seconds, DEADLINE_MS, "--rate", str(max(before, 0.5) * factor))
+                    time.sleep(DEADLINE_MS / 1000)
+                    after = capacity(graspd, ours)
+                    mean = (before + after) / 2
+                    for key in ["answered", "refused"]:
+                        run[key].pop("hdr_v2_base64_us")
+                    run.pop("answered_by_priority")
+                    late = sum(n for code, n in run["codes"].items() if code.startswith("Deadline"))
+                    runs.append({
+                        "nominal_factor": factor, "server": name, "capacity_before_after_per_s": [before, after],
+                        "factor": run["offered_per_s"] / mean, "goodput_over_capacity": run["goodput_per_s"] / mean,
+                        "late_share": late / run["calls"], "load_average": os.getloadavg()[0], **run,
+                    })
+                    before = after
+            for name in servers:
+                mine = [r for r in runs if (r["nominal_factor"], r["server"]) == (factor, name)]
+                column = lambda key: [r[key] for r in mine]
+                refused = [r["refused"] for r in mine if r["refused"]["count"]]
+                print(
+                    f"{name:>9} offered {told(column('factor'))} x capacity: goodput {told(column('goodput_over_capacity'))}"
+                    f", late {told(column('late_share'))}, p99 {max(r['answered']['p99_ms'] for r in mine):.0f} ms at most, refused p50 "
+                    f"{told([r['p50_ms'] for r in refused], '{:.1f}') if refused else '-'} ms, p99 "
+                    f"{told([r['p99_ms'] for r in refused], '{:.1f}') if refused else '-'} ms; load average {told(column('load_average'), '{:.1f}')}",
+                    flush=True,
+                )
     finally:
-        ours.end()
-        fifo.end()
+        for server in servers.values():
+            server.end()
     with open(out, "w") as file:
-        json.dump({"deadline_ms": deadline, "seconds": seconds, "rows": rows}, file, indent=1)
+        json.dump({"deadline_ms": DEADLINE_MS, "runs": runs}, file, indent=1)
 
 
 if __name__ == "__main__":

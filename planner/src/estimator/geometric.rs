@@ -58,10 +58,9 @@ impl ContactEstimator for Geometric {
     fn estimate(&self, volume: &Volume, budget: &dyn Budget) -> Result<ContactField, Stop> {
         let grid = volume.grid;
         let solid = volume.solid();
+        budget.check()?;
         let mut group = volume.object_groups(&solid);
-        if let Some(stop) = budget.stop() {
-            return Err(stop);
-        }
+        budget.check()?;
         let extents = extents(&grid, &group);
         extend_into_table(volume, &mut group);
         let Some(region) = Region::around(&grid, &group, MARGIN_VOXELS) else {
@@ -69,7 +68,10 @@ impl ContactEstimator for Geometric {
         };
         // Two passes: a standard deviation of 1.4 voxels, enough that a staircase of voxels has smooth normals.
         let occupied: Vec<f32> = group.iter().map(|&g| if g > 0 { 1.0 } else { 0.0 }).collect();
-        let density = smooth(&grid, &smooth(&grid, &occupied, &region), &region);
+        let once = smooth(&grid, &occupied, &region);
+        budget.check()?;
+        let density = smooth(&grid, &once, &region);
+        budget.check()?;
         let floor = volume.table_layer();
         let body = Body {
             grid: &grid,
@@ -79,20 +81,21 @@ impl ContactEstimator for Geometric {
             density: &density,
             floor,
         };
-        let contacts = contacts(volume, &body);
-        if let Some(stop) = budget.stop() {
-            return Err(stop);
-        }
+        let contacts = contacts(volume, &body, budget);
+        budget.check()?;
 
         let mut field = ContactField::empty(grid);
         spread(&mut field, &contacts, &extents, &solid, volume.first_object_layer());
+        budget.check()?;
         let mut votes = vec![0.0f32; grid.len()];
         for (middle, weight) in contacts.iter().filter_map(|c| c.vote) {
             if let Some(i) = body.at(middle) {
                 votes[i] += weight;
             }
         }
-        let votes = smooth(&grid, &smooth(&grid, &votes, &region), &region);
+        let once = smooth(&grid, &votes, &region);
+        budget.check()?;
+        let votes = smooth(&grid, &once, &region);
         field.centroid = normalized(&grid, &votes, &extents, Peaks::CHORDS);
         Ok(field)
     }
@@ -115,7 +118,7 @@ fn extend_into_table(volume: &Volume, group: &mut [u16]) {
 }
 
 /// Judges every voxel outside the solid that touches an object over a face.
-fn contacts(volume: &Volume, body: &Body<'_>) -> Vec<Contact> {
+fn contacts(volume: &Volume, body: &Body<'_>, budget: &dyn Budget) -> Vec<Contact> {
     let grid = &volume.grid;
     let n = grid.resolution;
     let first = volume.first_object_layer();
@@ -123,6 +126,8 @@ fn contacts(volume: &Volume, body: &Body<'_>) -> Vec<Contact> {
         .into_par_iter()
         .flat_map_iter(|row| {
             let (x, y) = (row / n, row % n);
+            // Nobody reads what is left out: the caller looks at the budget next.
+            let first = if budget.stop().is_some() { n } else { first };
             (first..n).filter_map(move |z| {
                 let i = row * n + z;
                 if body.solid[i] {

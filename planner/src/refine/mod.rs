@@ -13,6 +13,7 @@ pub use sharpen::sharpen;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
+use crate::budget::{Budget, Stop, Unlimited};
 use crate::contact_field::ContactField;
 use crate::grid::Grid;
 use crate::options::SceneOptions;
@@ -72,20 +73,49 @@ pub fn refine(
     labels: Option<&[u8]>,
     options: &SceneOptions,
 ) -> Features {
+    let done = refine_within(field, solid, surface, table_m, labels, options, &Unlimited);
+    // Nothing stops an unlimited budget; an empty field has no features.
+    done.unwrap_or_else(|_| Features {
+        grid: field.grid,
+        focal_contacts: Vec::new(),
+        focal_centroid_count: 0,
+        centroids: Vec::new(),
+        cells: FieldCells { grid: field.grid, cells: Vec::new() },
+        scene_distance_m: Vec::new(),
+        table_m,
+    })
+}
+
+/// [`refine`], looking at the budget between its steps.
+///
+/// # Errors
+/// [`Stop`] when the budget ended first.
+pub fn refine_within(
+    field: &ContactField,
+    solid: &[bool],
+    surface: &[SurfaceVoxel],
+    table_m: Option<f64>,
+    labels: Option<&[u8]>,
+    options: &SceneOptions,
+    budget: &dyn Budget,
+) -> Result<Features, Stop> {
     let grid = field.grid;
     let (focal_contacts, largest) = above_share(&field.certainty, options.focal_contact_threshold);
     let (focal_centroids, _) = above_share(&field.centroid, options.focal_centroid_threshold);
     let centroids = centered(&grid, &focal_centroids, labels, table_m);
+    budget.check()?;
 
     let mut is_focal = vec![false; grid.len()];
     for &i in &focal_contacts {
         is_focal[i as usize] = true;
     }
     let contact_distance = distance_to(&grid, |i| is_focal[i]);
+    budget.check()?;
     let mut scene_distance_m = signed_distance_m(&grid, solid);
+    budget.check()?;
     sharpen(&grid, solid, surface, &mut scene_distance_m);
     let cells = fill(field, largest, contact_distance.as_deref(), &scene_distance_m);
-    Features {
+    Ok(Features {
         grid,
         focal_contacts,
         focal_centroid_count: focal_centroids.len(),
@@ -93,7 +123,7 @@ pub fn refine(
         cells: FieldCells { grid, cells },
         scene_distance_m,
         table_m,
-    }
+    })
 }
 
 fn finite(v: f32) -> f32 {

@@ -88,7 +88,12 @@ pub(super) struct Shared {
     pub(super) wake: Condvar,
     /// The longest that a job has run on after it was cancelled, microseconds.
     pub(super) slowest_release_us: AtomicU64,
+    /// Jobs that ran when they were cancelled, by how long they ran on: up to each bound, and longer.
+    pub(super) releases: [AtomicU64; RELEASE_BOUNDS_US.len() + 1],
 }
+
+/// Bounds of how long jobs run on after they were cancelled, microseconds.
+pub(super) const RELEASE_BOUNDS_US: [u64; 5] = [1_000, 2_500, 5_000, 10_000, 50_000];
 
 impl Shared {
     pub(super) fn lock(&self) -> MutexGuard<'_, State> {
@@ -137,6 +142,10 @@ pub(super) fn run_slot(shared: &Arc<Shared>, rayon: &rayon::ThreadPool, room_lim
             if let Some(since) = budget.cancelled_for() {
                 let us = u64::try_from(since.as_micros()).unwrap_or(u64::MAX);
                 shared.slowest_release_us.fetch_max(us, Ordering::Relaxed);
+                let bucket = RELEASE_BOUNDS_US.iter().position(|bound| us <= *bound);
+                if let Some(count) = shared.releases.get(bucket.unwrap_or(RELEASE_BOUNDS_US.len())) {
+                    count.fetch_add(1, Ordering::Relaxed);
+                }
             }
             state = shared.lock();
             state.scheduler.end(shared.now(), id);

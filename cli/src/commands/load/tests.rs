@@ -70,7 +70,7 @@ fn others_are_not_attacked_and_wrong_flags_are_named() {
     }
     let message = |flags: &str| parse(flags).unwrap().check().unwrap_err().to_string();
     assert!(message("").contains("--rate, --concurrency and --find-max"));
-    assert!(message("--rate -1").starts_with("--rate: found -1"));
+    assert!(message("--rate=-1").starts_with("--rate: found -1"));
     assert!(message("--rate 1 --drop 2").starts_with("--drop: found 2"));
     assert!(message("--rate 1 --duration 0").starts_with("--duration: found 0"));
     assert!(message("--rate 1 --server http://192.0.2.1:1").contains("not this machine"));

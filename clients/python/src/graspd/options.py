@@ -149,7 +149,7 @@ class PlanOptions:
     trace: bool = False
     """Return the objective's terms of every iteration too."""
     priority: Priority = "normal"
-    """How urgent it is. Callers may be limited to some priorities."""
+    """How urgent it is; whoever may plan may ask for any priority."""
     require_complete: bool = False
     """Do not answer with the best so far: a search that time ends early is `DeadlineExceededError`."""
 

@@ -101,7 +101,7 @@ class _PriorityEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Priority.Val
     """A correction of a motion under way. The server keeps room for these that no other work takes."""
 
 class Priority(_Priority, metaclass=_PriorityEnumTypeWrapper):
-    """How urgent a call is. Callers may be limited to some of these; see the operations guide."""
+    """How urgent a call is. Whoever may plan may ask for any of these."""
 
 PRIORITY_UNSPECIFIED: Priority.ValueType  # 0
 """Same as NORMAL."""
