@@ -253,7 +253,7 @@ pub(super) fn parse_volume(text: &str) -> Result<VolumeKind, String> {
     }
 }
 
-fn parse_share(text: &str) -> Result<f64, String> {
+pub(crate) fn parse_share(text: &str) -> Result<f64, String> {
     text.parse()
         .ok()
         .filter(|x| (0.0..=1.0).contains(x))

@@ -5,6 +5,8 @@ mod clear;
 mod contacts;
 mod look;
 mod objects;
+mod precision;
+mod thresholds;
 
 use std::sync::Arc;
 
@@ -29,6 +31,7 @@ enum What {
     Ap(ap::ApArgs),
     Look(look::LookArgs),
     Contacts(contacts::ContactsArgs),
+    Thresholds(thresholds::ThresholdsArgs),
 }
 
 /// Runs the command.
@@ -41,6 +44,7 @@ pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
         What::Ap(args) => ap::run(args),
         What::Look(args) => look::run(args),
         What::Contacts(args) => contacts::run(args),
+        What::Thresholds(args) => thresholds::run(args),
     }
 }
 

@@ -1,5 +1,6 @@
 //! What a measurement of average precision found, as numbers and as tables.
 
+use graspd_planner::grasp::PlanStats;
 use graspd_planner::options::VolumeKind;
 use serde::{Deserialize, Serialize};
 
@@ -23,6 +24,48 @@ pub struct VolumeResult {
     pub shares: [f64; 4],
     /// From the frame to the grasps, on one thread, median, milliseconds.
     pub planning_median_ms: f64,
+    /// What the refinement left, and what the optimization took.
+    pub figures: ViewFigures,
+}
+
+/// Figures of the planning of one view, or their means over views.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ViewFigures {
+    /// `N_fc`.
+    pub focal_contacts: f64,
+    /// `N_fe`.
+    pub focal_centroids: f64,
+    /// `N_ee`.
+    pub centered_centroids: f64,
+    /// `T_time`: the optimization's time for every 100 iterations, on one thread, milliseconds; 0 where nothing was
+    /// optimized.
+    pub per_100_iterations_ms: f64,
+}
+
+impl ViewFigures {
+    /// Of one plan.
+    pub(super) fn of(stats: &PlanStats) -> Self {
+        let optimize = stats.stages.iter().find(|(stage, _)| *stage == "optimize");
+        let hundreds = stats.iterations as f64 / 100.0;
+        Self {
+            focal_contacts: stats.focal_contacts as f64,
+            focal_centroids: stats.focal_centroids as f64,
+            centered_centroids: stats.centered_centroids as f64,
+            per_100_iterations_ms: optimize
+                .map_or(0.0, |(_, time)| time.as_secs_f64() * 1e3 / hundreds.max(0.01)),
+        }
+    }
+
+    fn mean(all: &[Self]) -> Self {
+        let of = |figure: fn(&Self) -> f64| mean(&all.iter().map(figure).collect::<Vec<_>>()).unwrap_or(0.0);
+        Self {
+            focal_contacts: of(|f| f.focal_contacts),
+            focal_centroids: of(|f| f.focal_centroids),
+            centered_centroids: of(|f| f.centered_centroids),
+            per_100_iterations_ms: of(|f| f.per_100_iterations_ms),
+        }
+    }
 }
 
 /// All kinds of volumes.
@@ -37,7 +80,12 @@ pub struct ApReport {
 
 impl VolumeResult {
     /// From the verdicts and the planning times (milliseconds) of all views with one kind of volume.
-    pub(super) fn of(kind: VolumeKind, verdicts: &[Vec<Verdict>], times_ms: &[f64]) -> Self {
+    pub(super) fn of(
+        kind: VolumeKind,
+        verdicts: &[Vec<Verdict>],
+        times_ms: &[f64],
+        figures: &[ViewFigures],
+    ) -> Self {
         let all: Vec<Verdict> = verdicts.concat();
         let share =
             |is: fn(&Verdict) -> bool| all.iter().filter(|v| is(v)).count() as f64 / all.len().max(1) as f64;
@@ -53,11 +101,12 @@ impl VolumeResult {
                 share(|v| matches!(v, Verdict::Holds { .. })),
             ],
             planning_median_ms: quantile(times_ms, 0.5).unwrap_or(0.0),
+            figures: ViewFigures::mean(figures),
         }
     }
 }
 
-fn name(kind: VolumeKind) -> &'static str {
+pub(super) fn name(kind: VolumeKind) -> &'static str {
     match kind {
         VolumeKind::Tsdf => "tsdf",
         VolumeKind::Occupancy => "occupancy",
@@ -114,7 +163,7 @@ mod tests {
     fn shares_are_of_all_scored_grasps_and_tables_name_every_friction() {
         let views =
             [vec![Verdict::Collision, Verdict::Holds { friction: 0.2 }], vec![Verdict::Empty], vec![]];
-        let result = VolumeResult::of(VolumeKind::Occupancy, &views, &[30.0, 10.0, 20.0]);
+        let result = VolumeResult::of(VolumeKind::Occupancy, &views, &[30.0, 10.0, 20.0], &[]);
         assert_eq!((result.grasps, result.planning_median_ms), (1.0, 20.0));
         let third = 1.0 / 3.0;
         assert_eq!(result.shares, [third, third, 0.0, third]);

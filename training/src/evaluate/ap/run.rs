@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use graspd_hands::Hand;
 use graspd_planner::budget::Budget as _;
 use graspd_planner::estimator::ContactEstimator;
-use graspd_planner::options::{PlanOptions, Scheme, VolumeKind, WorkspaceRequest};
+use graspd_planner::options::{PlanOptions, SceneOptions, Scheme, VolumeKind, WorkspaceRequest};
 use graspd_planner::{plan, scene};
 use graspd_sim::clutter::assortment;
 use nalgebra::Point3;
@@ -15,7 +15,7 @@ use nalgebra::Point3;
 use super::exact::Exact;
 use super::jaw::{JawGrasp, Verdict};
 use super::planned::jaw_grasp;
-use super::report::{ApReport, VolumeResult};
+use super::report::{ApReport, ViewFigures, VolumeResult};
 use crate::dataset::contacts::contacts;
 use crate::dataset::oracle::Oracle;
 use crate::dataset::recipe::Recipe;
@@ -48,6 +48,8 @@ pub struct ApSettings {
     /// Plan from the contact dataset's labels of the exact scene instead of an estimator's contacts: what a network that
     /// had learnt all of them would reach.
     pub labels: bool,
+    /// `T_fc` and `T_fe` (Supplementary Note 3: 0.7 and 0.95).
+    pub thresholds: [f64; 2],
 }
 
 /// One view with one kind of volume.
@@ -55,6 +57,7 @@ struct View {
     job: usize,
     verdicts: Vec<Verdict>,
     planning_ms: f64,
+    figures: ViewFigures,
 }
 
 /// Measures AP. The numbers do not depend on the number of workers. `seen` is told after each view how many of
@@ -109,7 +112,8 @@ pub fn average(
             let of_kind: Vec<&View> = views.iter().filter(|v| v.job % settings.volumes.len() == i).collect();
             let times: Vec<f64> = of_kind.iter().map(|v| v.planning_ms).collect();
             let verdicts: Vec<Vec<Verdict>> = of_kind.iter().map(|v| v.verdicts.clone()).collect();
-            VolumeResult::of(kind, &verdicts, &times)
+            let figures: Vec<ViewFigures> = of_kind.iter().map(|v| v.figures).collect();
+            VolumeResult::of(kind, &verdicts, &times, &figures)
         })
         .collect();
     Ok(ApReport { conditions, volumes })
@@ -162,7 +166,12 @@ fn look_around(
         let frame = station.frame(&world, derive(seed, &[3, view as u64]));
         for (i, &kind) in settings.volumes.iter().enumerate() {
             let watch = Stopwatch::start();
-            let scene_options = station.scene_options(kind);
+            let [focal_contact_threshold, focal_centroid_threshold] = settings.thresholds;
+            let scene_options = SceneOptions {
+                focal_contact_threshold,
+                focal_centroid_threshold,
+                ..station.scene_options(kind)
+            };
             let oracle = match (&known, scene_options.workspace) {
                 (Some(contacts), WorkspaceRequest::Placed { world_from_volume, .. }) => {
                     Some(Oracle { contacts, world_from_volume })
@@ -183,7 +192,8 @@ fn look_around(
             let grasps: Vec<JawGrasp> =
                 plan.grasps.iter().filter_map(|g| jaw_grasp(&settings.hand, g)).collect();
             let job = (index * settings.views + view) * settings.volumes.len() + i;
-            views.push(View { job, verdicts: exact.judge(&grasps), planning_ms });
+            let figures = ViewFigures::of(&plan.stats);
+            views.push(View { job, verdicts: exact.judge(&grasps), planning_ms, figures });
             told();
         }
     }
@@ -221,6 +231,7 @@ mod tests {
             seed: 3,
             workers: 2,
             labels: false,
+            thresholds: [0.7, 0.95],
         };
         let told = AtomicUsize::new(0);
         let seen = |done, all| {
@@ -266,6 +277,7 @@ mod tests {
             seed: 3,
             workers: 1,
             labels: false,
+            thresholds: [0.7, 0.95],
         };
         let refused = |settings: &ApSettings| {
             average(settings, &Geometric, Vec::new(), &|_, _| {}).unwrap_err().to_string()
