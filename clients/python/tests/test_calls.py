@@ -213,7 +213,7 @@ def test_connecting_waits_for_a_server_that_starts_and_not_for_ever() -> None:
     try:
         with graspd.connect(f"http://127.0.0.1:{port}", connect_timeout=SOON) as planner:
             assert planner.server is not None and planner.server.version == graspd.__version__
-            assert planner.server.estimators == ("geometric",)
+            assert planner.server.estimators == ("geometric", "learned")
     finally:
         timer.join()
         servers[0].stop()

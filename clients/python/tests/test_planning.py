@@ -195,7 +195,7 @@ def test_faults_name_their_field(planner: graspd.Planner, frame: graspd.DepthFra
     assert missing.value.reason == "HAND_NOT_FOUND"
     with pytest.raises(graspd.NotFoundError, match="geometric") as missing:
         planner.plan(frame, hand="leap", scene_options=graspd.SceneOptions(estimator="oracle"))
-    assert missing.value.reason == "ESTIMATOR_NOT_FOUND" and missing.value.metadata["known"] == "geometric"
+    assert missing.value.reason == "ESTIMATOR_NOT_FOUND" and missing.value.metadata["known"] == "geometric, learned"
 
 
 def test_a_message_that_is_too_large_is_refused(planner: graspd.Planner) -> None:
