@@ -99,12 +99,12 @@ void refuses(const graspd::Client& client) {
 
 void keeps_time(const graspd::Config& config) {
   graspd::Config hurried = config;
-  hurried.timeout = std::chrono::milliseconds(1500);
+  hurried.timeout = std::chrono::milliseconds(6000);
   const graspd::Client client(hurried);
   const auto began = std::chrono::steady_clock::now();
   const auto plan = client.plan(question("leap", 4096, 10000));
   CHECK(plan.stats().budget_exhausted());
-  CHECK(std::chrono::steady_clock::now() - began < std::chrono::seconds(3));
+  CHECK(std::chrono::steady_clock::now() - began < std::chrono::seconds(9));
   hurried.timeout = std::chrono::milliseconds(3);
   const auto error = refused([&] { graspd::Client(hurried).plan(question("leap", 4096, 10000)); });
   CHECK(error.code == grpc::StatusCode::DEADLINE_EXCEEDED && error.reason == "DEADLINE_EXCEEDED");
