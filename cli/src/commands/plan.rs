@@ -39,8 +39,9 @@ pub(crate) struct PlanArgs {
     #[arg(long, value_name = "NPZ", conflicts_with_all = ["depth", "intrinsics", "labels", "server", "estimator", "model"])]
     contact_field: Option<PathBuf>,
     /// Ask this server, for example http://127.0.0.1:50051, instead of planning in this process. Left out, the
-    /// variable GRASPD_SERVER of the environment names it; a contact field is planned in here in any case
-    #[arg(long, value_name = "URL")]
+    /// variable GRASPD_SERVER of the environment names it; a contact field, and a network of one's own, are planned with in
+    /// here in any case
+    #[arg(long, value_name = "URL", conflicts_with = "model")]
     server: Option<String>,
     /// Print JSON
     #[arg(long)]
@@ -60,7 +61,8 @@ pub(crate) struct PlanArgs {
 impl PlanArgs {
     /// The server to ask: that of the flag, or that of the environment for what a server can be asked.
     fn server(&self, environment: Option<String>) -> Option<String> {
-        let environment = environment.filter(|url| !url.is_empty() && self.contact_field.is_none());
+        let here = self.contact_field.is_some() || self.scene.estimator().has_models();
+        let environment = environment.filter(|url| !url.is_empty() && !here);
         self.server.clone().or(environment)
     }
 }
@@ -234,5 +236,10 @@ mod tests {
         assert_eq!(field.server(environment()), None);
         let both = parse("--contact-field f.npz --hand leap --server http://other:2").unwrap_err();
         assert!(both.contains("--server"), "{both}");
+        // A server has networks of its own: one's own must not be left aside unsaid.
+        let own = parse("d.png --intrinsics i.json --hand leap --model mine.onnx").unwrap();
+        assert_eq!(own.server(environment()), None);
+        let both = parse("d.png --intrinsics i.json --hand leap --model mine.onnx --server http://other:2");
+        assert!(both.unwrap_err().contains("--model"));
     }
 }
