@@ -9,6 +9,9 @@ pub(crate) const BODY: &str = "  global g_kind = 0
   global g_servo = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
   global g_at = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
   global g_rate = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  global g_gone = [0.0, 0.0, 0.0]
+  global g_probe = 0.01
+  global g_braking = 0.8
   global g_rest = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
   global g_speed = 0.0
   global g_acceleration = 0.0
@@ -51,47 +54,112 @@ pub(crate) const BODY: &str = "  global g_kind = 0
     g_moving = 0
   end
 
-  def g_toward(goal):
-    wanted = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    ahead = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    change = g_joint_acceleration * g_step
+  def g_ahead(rate, time):
+    six = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     i = 0
     while i < 6:
-      way = goal[i] - g_at[i]
-      far = norm(way)
-      fast = 0.5 * (sqrt(change * change + 8.0 * g_joint_acceleration * far) - change)
+      six[i] = g_at[i] + rate[i] * time
+      i = i + 1
+    end
+    return six
+  end
+
+  def g_toward(goal):
+    way = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    wanted = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    far = 0.0
+    most = 0.0
+    i = 0
+    while i < 6:
+      way[i] = goal[i] - g_at[i]
+      far = far + way[i] * way[i]
+      if norm(way[i]) > most:
+        most = norm(way[i])
+      end
+      i = i + 1
+    end
+    far = sqrt(far)
+    here = get_forward_kin(g_at)
+    if far > 0.0000001:
+      i = 0
+      while i < 6:
+        way[i] = way[i] / far
+        i = i + 1
+      end
+      most = most / far
+      nearer = get_forward_kin(g_ahead(way, g_probe))
+      farther = get_forward_kin(g_ahead(way, 2.0 * g_probe))
+      lever = norm([nearer[0] - here[0], nearer[1] - here[1], nearer[2] - here[2]]) / g_probe
+      bend = norm([farther[0] - 2.0 * nearer[0] + here[0], farther[1] - 2.0 * nearer[1] + here[1], farther[2] - 2.0 * nearer[2] + here[2]]) / (g_probe * g_probe)
+      brake = g_braking * g_joint_acceleration / most
+      if brake * lever > g_braking * g_acceleration:
+        brake = g_braking * g_acceleration / lever
+      end
+      change = brake * g_step
+      fast = 0.5 * (sqrt(change * change + 8.0 * brake * far) - change)
       if fast > far / g_step:
         fast = far / g_step
       end
-      if fast > g_joint_speed:
-        fast = g_joint_speed
+      if fast * most > g_joint_speed:
+        fast = g_joint_speed / most
       end
-      if way < 0.0:
-        fast = 0.0 - fast
+      if fast * lever > g_speed:
+        fast = g_speed / lever
       end
-      wanted[i] = fast
-      ahead[i] = g_at[i] + fast * g_step
+      if fast * fast * bend > 0.5 * g_acceleration:
+        fast = sqrt(0.5 * g_acceleration / bend)
+      end
+      i = 0
+      while i < 6:
+        wanted[i] = fast * way[i]
+        i = i + 1
+      end
+    end
+    share = 1.0
+    change = g_joint_acceleration * g_step
+    i = 0
+    while i < 6:
+      more = norm(wanted[i] - g_rate[i])
+      if more * share > change:
+        share = change / more
+      end
       i = i + 1
     end
-    here = get_forward_kin(g_at)
-    there = get_forward_kin(ahead)
-    flange = norm([there[0] - here[0], there[1] - here[1], there[2] - here[2]]) / g_step
-    share = 1.0
-    if flange > g_speed:
-      share = g_speed / flange
+    keeps = get_forward_kin(g_ahead(g_rate, g_step))
+    goes = get_forward_kin(g_ahead(wanted, g_step))
+    bound = g_acceleration * g_step * g_step
+    aa = 0.0
+    ab = 0.0
+    bb = 0.0 - bound * bound
+    i = 0
+    while i < 3:
+      turn = keeps[i] - here[i] - g_gone[i]
+      more = goes[i] - keeps[i]
+      aa = aa + more * more
+      ab = ab + turn * more
+      bb = bb + turn * turn
+      i = i + 1
+    end
+    if aa + 2.0 * ab + bb > 0.0 and aa > 0.0:
+      part = 0.0 - ab / aa
+      if ab * ab > aa * bb:
+        part = (sqrt(ab * ab - aa * bb) - ab) / aa
+      end
+      if part < 0.0:
+        part = 0.0
+      end
+      if part < share:
+        share = part
+      end
     end
     i = 0
     while i < 6:
-      more = share * wanted[i] - g_rate[i]
-      if more > change:
-        more = change
-      elif more < 0.0 - change:
-        more = 0.0 - change
-      end
-      wanted[i] = g_rate[i] + more
-      ahead[i] = g_at[i] + wanted[i] * g_step
+      wanted[i] = g_rate[i] + share * (wanted[i] - g_rate[i])
       i = i + 1
     end
+    ahead = g_ahead(wanted, g_step)
+    there = get_forward_kin(ahead)
+    g_gone = [there[0] - here[0], there[1] - here[1], there[2] - here[2]]
     g_rate = wanted
     g_at = ahead
   end
@@ -204,6 +272,7 @@ pub(crate) const LOOP: &str = "  number = read_input_integer_register(24)
         g_servo = get_target_joint_positions()
         g_at = g_servo
         g_rate = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        g_gone = [0.0, 0.0, 0.0]
         count = read_input_integer_register(27)
         stale = 0
         g_moving = 1

@@ -20,10 +20,12 @@
 //! The tool centre point is set to the flange while the script runs, so that speeds on lines are those of the flange,
 //! and put back when it ends in order.
 //!
-//! What `servoj` is given in a stream is not the target but a point on the way to it (`g_toward`), step by step: no joint
-//! changes its speed faster than `limits.joint_acceleration_rad_s2`, none is faster than `limits.joint_speed_rad_s`, and
-//! none is faster than it can brake before its target. Where the flange would be faster than its caller allows, all joints
-//! slow down together.
+//! What `servoj` is given in a stream is not the target but a point on the way to it (`g_toward`), step by step. The way is
+//! straight in joint space; it is gone no faster than joints and flange may be, no faster than lets them brake before its end
+//! with `g_braking` of their accelerations, and in curves no faster than costs half the flange's acceleration. Then the
+//! change of all joints' speeds since the step before is cut down, by one share for all, until no joint changes its speed faster than
+//! `limits.joint_acceleration_rad_s2`, nor the flange its own, as seen by forward kinematics from step to step, faster than
+//! the caller allows. What is kept of the reserve lets an arm that is on its way elsewhere turn round.
 
 use std::fmt::Write;
 

@@ -1,7 +1,7 @@
 //! Streams of targets: the dynamic servo.
 //!
 //! A target that is farther than the allowed speed takes one is refused here. What joints do on their way to it is bounded
-//! by the control script: their speed, their acceleration, the speed of the flange.
+//! by the control script: their speed and acceleration, and those of the flange.
 
 use std::time::Duration;
 
@@ -107,6 +107,7 @@ impl UrArm {
         self.refuse_pressing(&state, None).map_err(|r| self.refused(r))?;
         let command = Command {
             speed: limits.speed_m_s,
+            acceleration: limits.acceleration_m_s2,
             force_n: self.config().limits.force_n,
             lookahead_s: settings.lookahead_s,
             gain: settings.gain,

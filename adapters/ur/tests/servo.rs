@@ -1,4 +1,4 @@
-//! How streams of targets are followed: whatever comes, joints keep their speeds and accelerations.
+//! How streams of targets are followed: whatever comes, joints and flange keep their speeds and accelerations.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // Helpers of tests.
 
@@ -11,6 +11,8 @@ use bench::{Bench, LIMITS, SOON, apart, bench_with, settings};
 use graspd_adapters_core::Limits;
 use graspd_adapters_emulators::ur::UrSnapshot;
 use graspd_adapters_ur::ServoSettings;
+use graspd_adapters_ur::kinematics::{Kinematics, Model};
+use nalgebra::Vector3;
 
 /// Bounds that streams of this file would break by far if `servoj` were given their targets as they come.
 const SPEED: f64 = 0.8;
@@ -19,9 +21,15 @@ const ACCELERATION: f64 = 2.0;
 const STIFF: ServoSettings = ServoSettings { lookahead_s: 0.03, gain: 2000.0 };
 
 async fn bounded() -> Bench {
+    bounded_by(2.0).await
+}
+
+/// A bench whose flange may have so much acceleration.
+async fn bounded_by(acceleration_m_s2: f64) -> Bench {
     bench_with(settings(), None, |config| {
         config.limits.joint_speed_rad_s = SPEED;
         config.limits.joint_acceleration_rad_s2 = ACCELERATION;
+        config.limits.acceleration_m_s2 = acceleration_m_s2;
     })
     .await
 }
@@ -32,7 +40,19 @@ struct Seen {
     speed: f64,
     acceleration: f64,
     flange: f64,
+    flange_acceleration: f64,
     samples: usize,
+}
+
+/// How fast the flange is commanded to move, metres per second.
+fn flange_velocity(seen: &UrSnapshot) -> Vector3<f64> {
+    const MOMENT_S: f64 = 1e-5;
+    let arm = Kinematics::new(Model::Ur5e);
+    let at = |t: f64| {
+        let joints = std::array::from_fn(|i| seen.joints[i] + t * seen.target_speeds[i]);
+        arm.forward(&joints).translation.vector
+    };
+    (at(MOMENT_S) - at(-MOMENT_S)) / (2.0 * MOMENT_S)
 }
 
 impl Seen {
@@ -43,6 +63,8 @@ impl Seen {
             let change = (now.target_speeds[i] - before.target_speeds[i]).abs();
             self.acceleration = self.acceleration.max(change / time);
         }
+        let change = (flange_velocity(now) - flange_velocity(before)).norm();
+        self.flange_acceleration = self.flange_acceleration.max(change / time);
         self.flange = self.flange.max(apart(&now.base_from_flange, &before.base_from_flange) / time);
         self.samples += 1;
     }
@@ -158,4 +180,64 @@ async fn who_catches_up_with_a_stream_keeps_the_speed_of_the_flange() {
     assert!(apart(&bench.flange(), &goal) < 1e-3, "{}", apart(&bench.flange(), &goal));
     assert!(seen.flange > 0.08 && seen.flange < 0.105, "{seen:?}");
     assert!(seen.acceleration < 1.1 * ACCELERATION, "{seen:?}");
+    assert!(seen.flange_acceleration < 1.1 * limits.acceleration_m_s2, "{seen:?}");
+}
+
+/// Joints alone would be within their bounds here with several times the acceleration of the flange: a shoulder that
+/// turns carries the whole arm.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn streams_keep_the_acceleration_of_the_flange() {
+    for limits in [
+        Limits { speed_m_s: 0.3, acceleration_m_s2: 0.4 },
+        // What the caller allows counts where it is less than what is configured.
+        Limits { speed_m_s: 0.2, acceleration_m_s2: 0.2 },
+    ] {
+        let bench = bounded_by(0.4).await;
+        let mut target = bench.emulator.snapshot().joints;
+        let seen = watched(&bench, async {
+            let mut stream = bench.arm.servo_joints(STIFF, limits, SOON).await.unwrap();
+            let mut clock = beats();
+            for (ticks, speed) in [(80, 0.2), (80, -0.2), (40, 0.2), (250, 0.0)] {
+                for _ in 0..ticks {
+                    clock.tick().await;
+                    target[0] += speed * 0.008;
+                    target[3] -= 2.0 * speed * 0.008;
+                    stream.send_joints(&target).unwrap();
+                }
+            }
+        })
+        .await;
+        assert!(seen.samples > 200, "{seen:?}");
+        let joints = bench.emulator.snapshot().joints;
+        assert!((0..6).all(|i| (joints[i] - target[i]).abs() < 2e-3), "{joints:?} {target:?}");
+        let most = limits.acceleration_m_s2;
+        assert!(seen.flange_acceleration > 0.6 * most, "the bound was not reached: {seen:?}");
+        assert!(seen.flange_acceleration < 1.1 * most && seen.flange < 1.02 * limits.speed_m_s, "{seen:?}");
+        assert!(seen.speed < 1.02 * SPEED && seen.acceleration < 1.1 * ACCELERATION, "{seen:?}");
+    }
+}
+
+/// What is sent is within the speeds, turns corners in space, and never waits.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stream_of_poses_round_sharp_corners_keeps_the_acceleration_of_the_flange() {
+    let bench = bounded_by(0.8).await;
+    let limits = Limits { speed_m_s: 0.2, acceleration_m_s2: 0.8 };
+    let mut goal = bench.flange();
+    let seen = watched(&bench, async {
+        let mut stream = bench.arm.servo_pose(STIFF, limits, SOON).await.unwrap();
+        let mut clock = beats();
+        let sides = [Vector3::z(), -Vector3::x(), -Vector3::z(), Vector3::x(), Vector3::zeros()];
+        for side in sides {
+            for _ in 0..80 {
+                clock.tick().await;
+                goal.translation.vector -= side * 0.15 * 0.008;
+                stream.send_pose(&goal).unwrap();
+            }
+        }
+    })
+    .await;
+    assert!(apart(&bench.flange(), &goal) < 1e-3, "{}", apart(&bench.flange(), &goal));
+    assert!(seen.flange_acceleration > 0.5 * limits.acceleration_m_s2, "{seen:?}");
+    assert!(seen.flange_acceleration < 1.1 * limits.acceleration_m_s2, "{seen:?}");
+    assert!(seen.flange < 1.03 * limits.speed_m_s && seen.acceleration < 1.1 * ACCELERATION, "{seen:?}");
 }
