@@ -387,6 +387,65 @@ async fn motors_stop_by_themselves_when_the_host_is_gone() {
     assert!((state.actuators[0] - 0.3).abs() < 0.01, "{state:?}");
 }
 
+/// Motors count the time between what they hear, the host that between what it sends: an exchange that merely takes long
+/// lets their watchdog fire while the host has never been silent. A motor whose watchdog has fired takes no goal, and
+/// nobody says so: unseen, the fingers would stand, and lack their goals as if they held something.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watchdog_that_fires_during_a_slow_exchange_is_seen() {
+    let b = bench_with(BusConfig::leap(false), |s| {
+        s.reply_timeout_ms = 1000;
+        s.watchdog_ms = 300;
+        s.max_speed_rad_s = 0.3;
+    });
+    b.hand.grip(&grip(0.0), PATIENT).await.unwrap();
+    let way = grip(0.9);
+    let slow = async {
+        tokio::time::sleep(Duration::from_millis(500)).await;
+        b.bus.faults().change(|now| now.delay = Duration::from_millis(700));
+        let until = Instant::now() + PATIENT;
+        while b.bus.register(1, 98, 1).unwrap() != [255] {
+            assert!(Instant::now() < until, "the watchdog does not fire");
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        b.bus.faults().clear();
+    };
+    let (error, ()) = tokio::join!(b.hand.grip(&way, PATIENT), slow);
+    let error = error.unwrap_err();
+    assert!(error.to_string().contains("the motors' watchdog stopped them"), "{error}");
+    assert!(error.is_clearable(), "a cell tries again: {error:?}");
+    // Nobody needs to clear anything: the fingers hold where they are, and go where they are told.
+    let state = b.hand.state(PATIENT).await.unwrap();
+    assert!(!state.feels_object() && state.actuators[0] < 0.85, "{state:?}");
+    let state = b.hand.grip(&GripCommand { speed: 1.0, ..grip(0.3) }, PATIENT).await.unwrap();
+    assert!((state.actuators[0] - 0.3).abs() < 0.01, "{state:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watchdog_that_fired_between_motions_lets_fingers_press_on_and_move() {
+    let b = bench_with(BusConfig::leap(false), |s| {
+        s.reply_timeout_ms = 1000;
+        s.watchdog_ms = 300;
+    });
+    b.obstacles.stop_above(1, Some(PI + 0.1));
+    let flex = index_of("index_flex");
+    assert!(b.hand.grip(&grip(0.3), PATIENT).await.unwrap().held[flex]);
+    b.bus.faults().change(|now| now.delay = Duration::from_millis(700));
+    let until = Instant::now() + PATIENT;
+    while b.bus.register(1, 98, 1).unwrap() != [255] {
+        assert!(Instant::now() < until, "the watchdog does not fire");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    b.bus.faults().clear();
+    while b.bus.register(1, 98, 1).unwrap() == [255] || goal(&b.bus, 1) < 2048 + 190 {
+        assert!(Instant::now() < until, "the finger does not press on");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    assert!(b.hand.state(PATIENT).await.unwrap().held[flex]);
+    b.obstacles.stop_above(1, None);
+    let state = b.hand.grip(&grip(0.5), PATIENT).await.unwrap();
+    assert!((state.actuators[flex] - 0.5).abs() < 0.01 && !state.feels_object(), "{state:?}");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn motors_left_in_another_mode_with_torque_are_brought_up_in_order() {
     let b = bench();

@@ -57,10 +57,11 @@ impl Driver {
     /// Reads a register of all motors.
     pub(super) async fn read_all(&mut self, register: Register) -> Result<Vec<Answer>, DeviceError> {
         let ids = self.ids.clone();
+        let asked = Instant::now();
         let read = self.bus().await?.sync_read(register, &ids, false).await;
         match read {
             Ok(answers) => {
-                self.fed = Instant::now();
+                self.heard(asked);
                 Ok(answers)
             }
             Err(error) => Err(self.lose(error).await),
@@ -69,10 +70,13 @@ impl Driver {
 
     /// Writes a register of one motor, which confirms it.
     pub(super) async fn write(&mut self, id: u8, register: Register, value: i32) -> Result<(), DeviceError> {
+        let asked = Instant::now();
         let written = self.bus().await?.write(id, register, value).await;
-        self.fed = Instant::now();
         match written {
-            Ok(()) => Ok(()),
+            Ok(()) => {
+                self.heard(asked);
+                Ok(())
+            }
             Err(error) => Err(self.lose(error).await),
         }
     }

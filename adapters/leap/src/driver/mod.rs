@@ -37,8 +37,10 @@ pub(crate) struct Driver {
     bus: Option<Bus>,
     /// True while motors hold their goals and their watchdog waits for us.
     energized: bool,
-    /// When all motors were last asked something.
+    /// When they were sent what they have heard last.
     fed: Instant,
+    /// True when the motors may have heard nothing for so long that their watchdog has stopped them.
+    suspect: bool,
     readings: Vec<Reading>,
     rest: RestWatch,
     resting: bool,
@@ -71,6 +73,7 @@ impl Driver {
             bus: None,
             energized: false,
             fed: now,
+            suspect: false,
             readings: Vec::new(),
             rest: RestWatch::new(),
             resting: false,

@@ -90,6 +90,8 @@ impl Driver {
             self.energize().await?;
         }
         self.look().await?;
+        // Nothing moves yet, so it does not matter that motors stood.
+        self.revive().await?;
         let current_ma = force * self.settings.current_ma();
         self.limit_current(current_ma).await?;
         if reply.is_closed() {

@@ -13,8 +13,8 @@ const SUPPLY_EVERY: u32 = 50;
 
 impl Driver {
     pub(super) async fn tick(&mut self) {
-        let seen = match self.watch().await {
-            Ok(()) => self.look().await,
+        let seen = match self.look().await {
+            Ok(()) => self.watch().await,
             Err(error) => Err(error),
         };
         if let Err(error) = seen {
@@ -35,12 +35,13 @@ impl Driver {
     /// Reads all motors. A hardware error stops the fingers, and is remembered.
     pub(super) async fn look(&mut self) -> Result<(), DeviceError> {
         let (ids, fast) = (self.ids.clone(), self.settings.fast_sync_read);
+        let asked = Instant::now();
         let read = self.bus().await?.sync_read(FEEDBACK, &ids, fast).await;
         let answers = match read {
             Ok(answers) => answers,
             Err(error) => return Err(self.lose(error).await),
         };
-        self.fed = Instant::now();
+        self.heard(asked);
         let readings: Result<Vec<Reading>, BusError> =
             self.settings.joints.iter().zip(&answers).map(|(joint, answer)| reading(joint, answer)).collect();
         match readings {
@@ -57,27 +58,50 @@ impl Driver {
         Ok(())
     }
 
-    /// After a pause of this process the motors' own watchdog may have stopped them: their goals are locked then.
+    /// Notes that the motors have heard what was sent at `asked`. When exactly they did is not known: between this time and
+    /// the last one they may have heard nothing from the one request's sending to this one's answer, though nobody here
+    /// was silent so long.
+    pub(super) fn heard(&mut self, asked: Instant) {
+        let longest = self.fed.elapsed();
+        self.suspect |= longest.as_millis() >= u128::from(self.settings.watchdog_ms) * 3 / 4;
+        self.fed = asked;
+    }
+
+    /// A motor whose watchdog has fired takes no goal any more, and nobody says so: it would stand and lack its goal as if
+    /// it held something. Where one may have, all are asked. A motion ends there; fingers that were told to press press on.
     async fn watch(&mut self) -> Result<(), DeviceError> {
-        let silence = self.fed.elapsed();
-        if silence.as_millis() < u128::from(self.settings.watchdog_ms) * 3 / 4 {
-            return Ok(());
+        let goals = self.goals.clone();
+        let Some(detail) = self.revive().await? else { return Ok(()) };
+        if self.running.is_some() {
+            return Err(self.stopped(FaultKind::NotActivated, detail));
         }
-        let ids = self.ids.clone();
-        let read = self.bus().await?.sync_read(table::BUS_WATCHDOG, &ids, false).await;
-        let fired = match read {
-            Ok(answers) => answers.iter().any(|a| a.data == [255]),
-            Err(error) => return Err(self.lose(error).await),
-        };
-        if !fired {
-            return Ok(());
+        match goals {
+            Some(goals) => self.tell(&goals).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Starts motors again, where they are, that their watchdog has stopped; what to say of it, `None` when there were
+    /// none.
+    pub(super) async fn revive(&mut self) -> Result<Option<String>, DeviceError> {
+        if !self.suspect {
+            return Ok(None);
+        }
+        let answers = self.read_all(table::BUS_WATCHDOG).await?;
+        self.suspect = false;
+        let fired: Vec<String> =
+            answers.iter().filter(|a| a.data == [255]).map(|a| self.motor(a.id)).collect();
+        if fired.is_empty() {
+            return Ok(None);
         }
         self.look().await?;
         self.feed_watchdog().await?;
-        self.hold().await?;
-        let detail = format!("the motors' watchdog stopped them: they heard nothing for {silence:?}");
-        tracing::warn!(device = self.settings.name, "{detail}");
-        Err(self.stopped(FaultKind::Other, detail))
+        let (count, all, limit) = (fired.len(), self.ids.len(), self.settings.watchdog_ms);
+        let detail = format!(
+            "the motors' watchdog stopped them: {count} of {all} heard nothing for watchdog_ms = {limit}"
+        );
+        tracing::warn!(device = self.settings.name, motors = fired.join(", "), "{detail}");
+        Ok(Some(detail))
     }
 
     /// Brings a motion one step further.
@@ -85,6 +109,8 @@ impl Driver {
         if self.until_supply == 0 {
             self.until_supply = SUPPLY_EVERY;
             self.feel_temperature().await?;
+            // Whatever the clocks say: a motor that stands unnoticed must not stand for long.
+            self.suspect = true;
         }
         self.until_supply -= 1;
         if let Some((kind, detail)) = &self.fault {
