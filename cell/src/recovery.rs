@@ -187,9 +187,16 @@ pub const TABLE: &[Row] = &[
         first: Recovery::ClearAndRetry,
         then: Recovery::End,
     },
+    // An arm may refuse to move because of what presses on it: opened fingers that are wedged, for example.
     Row {
         steps: &[Step::Retreat],
         trouble: Trouble::Stop,
+        first: Recovery::ClearAndRetry,
+        then: Recovery::End,
+    },
+    Row {
+        steps: &[Step::Retreat],
+        trouble: Trouble::OutOfReach,
         first: Recovery::ClearAndRetry,
         then: Recovery::End,
     },

@@ -102,6 +102,22 @@ async fn a_collision_on_the_approach_backs_out_and_counts_as_a_failed_trial() {
     assert_eq!(report.tally.rate(), Some(0.5));
 }
 
+/// Opened among objects and walls, fingers may press so hard that the arm stops itself again and again. Closed as they
+/// were before, they go out.
+#[tokio::test(start_paused = true)]
+async fn fingers_that_are_wedged_by_opening_close_again_and_go_out() {
+    let shared = Shared::new(2).with_fault(Step::CheckContact, Fault::Slips, 1);
+    shared.world().wedges = true;
+    let (report, log) = run(&shared, &config()).await;
+    assert_eq!(report.end, End::Empty, "{log:?}");
+    assert_eq!((report.tally.trials, report.tally.successes), (3, 2), "{log:?}");
+    assert_eq!(report.tally.failures.get(&FailureClass::UnstableContact), Some(&1));
+    assert_eq!(log, ["check_contact nothing held Retreat", "retreat stop ClearAndRetry"]);
+    let world = shared.world();
+    let thumb: Vec<f64> = world.thumb.iter().filter(|t| t.0 == Step::Retreat).map(|t| t.1).collect();
+    assert_eq!(thumb, [0.0, 1.0, 0.0], "open, closed as before, open in the air");
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_stop_while_carrying_goes_on_with_the_object() {
     for step in [Step::Lift, Step::Carry] {

@@ -37,6 +37,10 @@ pub(super) struct Attempt {
     pub(super) failed: Option<(FailureClass, String)>,
     /// The hand is among the objects: the way out is straight back along the approach.
     pub(super) inside: bool,
+    /// Where the fingers were when the way out began, in the order of the hand's actuators.
+    pub(super) before_opening: Option<Vec<f64>>,
+    /// The arm stopped itself on the way out: opened fingers may be what presses.
+    pub(super) wedged: bool,
     /// Where the lift goes, once it has begun.
     pub(super) lift_to: Option<Isometry3<f64>>,
     /// The full lift is out of reach.
@@ -60,6 +64,8 @@ impl Attempt {
             felt: false,
             failed: None,
             inside: false,
+            before_opening: None,
+            wedged: false,
             lift_to: None,
             lift_short: false,
         }

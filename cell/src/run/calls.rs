@@ -263,7 +263,7 @@ impl Run<'_> {
         }
     }
 
-    async fn hand_state(&self) -> Result<HandState, Problem> {
+    pub(super) async fn hand_state(&self) -> Result<HandState, Problem> {
         let (hand, limit) = (&self.cell.hand, seconds(self.config.timeouts.state_s));
         self.within(Who::Hand, &hand.info().name, "state", limit, hand.state(limit)).await
     }

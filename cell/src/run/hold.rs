@@ -74,16 +74,35 @@ impl Run<'_> {
     }
 
     /// The way out of a failed attempt. Safe to be done again from any point of it.
+    ///
+    /// Fingers that open between objects and walls may press so hard on them that the arm stops itself whenever it is
+    /// released. They were smaller before, and were there: closed again as they had been, they press on nothing, and go out
+    /// like that. That comes before the arm is released.
     pub(super) async fn retreat(&mut self) -> Result<Next, Problem> {
         self.stop_arm().await?;
-        self.clear_fault(Who::Arm).await?;
-        let (names, open) = self.open_posture();
-        self.grip_against(&names, &open).await?;
+        if let Some(positions) = self.attempt.wedged.then(|| self.attempt.before_opening.clone()).flatten() {
+            let names = self.cell.hand.info().actuators;
+            self.grip_against(&names, &positions).await?;
+            self.clear_arm().await?;
+        } else {
+            self.clear_arm().await?;
+            if self.attempt.before_opening.is_none() {
+                // A hand that cannot say where its fingers are opens all the same.
+                self.attempt.before_opening = self.hand_state().await.ok().map(|state| state.actuators);
+            }
+            self.open_among().await?;
+        }
         self.holding = Holding::Nothing;
         if self.attempt.inside {
             let back = self.chosen()?.world_from_pregrasp.isometry();
-            self.move_linear(&back, Pace::Approach).await?;
+            let moved = self.move_linear(&back, Pace::Approach).await;
+            self.notice_wedge(moved)?;
             self.attempt.inside = false;
+        }
+        if self.attempt.wedged {
+            // What went out between the fingers falls back into the tray.
+            self.open_among().await?;
+            self.attempt.wedged = false;
         }
         self.raise_empty(Pace::Travel).await?;
         let outcome = match self.attempt.failed.take() {
@@ -92,6 +111,26 @@ impl Run<'_> {
             None => Outcome::NotExecuted { why: "given up".to_owned() },
         };
         Ok(Next::Finished(outcome))
+    }
+
+    async fn clear_arm(&mut self) -> Result<(), Problem> {
+        let cleared = self.clear_fault(Who::Arm).await;
+        self.notice_wedge(cleared)
+    }
+
+    async fn open_among(&self) -> Result<(), Problem> {
+        let (names, open) = self.open_posture();
+        self.grip_against(&names, &open).await.map(drop)
+    }
+
+    /// An arm that stops itself, or refuses to move, on the way out: the next try is with the fingers the other way.
+    fn notice_wedge(&mut self, done: Result<(), Problem>) -> Result<(), Problem> {
+        if let Err(problem) = &done
+            && matches!(problem.trouble, Trouble::Stop | Trouble::OutOfReach)
+        {
+            self.attempt.wedged = !self.attempt.wedged && self.attempt.before_opening.is_some();
+        }
+        done
     }
 
     async fn must_feel(&mut self, otherwise: &str) -> Result<(), Problem> {

@@ -84,10 +84,20 @@ pub(crate) struct World {
     pub(crate) open: f64,
     /// So many objects that are let go at the drop pose fall beside it.
     pub(crate) misses: u32,
+    /// On the way out of a failed attempt open fingers press so hard on what is around them that the arm stops itself, also
+    /// when it has been released.
+    pub(crate) wedges: bool,
     /// Where the arm went, and in which step.
     pub(crate) moves: Vec<(Step, Isometry3<f64>)>,
     /// Where the thumb was told to go, and in which step.
     pub(crate) thumb: Vec<(Step, f64)>,
+}
+
+impl World {
+    fn is_wedged(&self) -> bool {
+        let opened = self.thumb.last().is_some_and(|(step, at)| *step == Step::Retreat && *at < 0.5);
+        self.wedges && opened && self.flange.translation.vector.z < 0.2
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -116,6 +126,7 @@ impl Shared {
             met_after: 0.5,
             open: 0.0,
             misses: 0,
+            wedges: false,
             moves: Vec::new(),
             thumb: Vec::new(),
         })))
@@ -249,7 +260,8 @@ impl Shared {
     ) -> Result<(), DeviceError> {
         let stopped = |kind| DeviceError::Fault { device: "arm".into(), kind, detail: "stopped".into() };
         let (from, distance) = {
-            let world = self.world();
+            let mut world = self.world();
+            world.arm_stopped |= world.is_wedged();
             if world.arm_stopped {
                 return Err(stopped(FaultKind::ProtectiveStop));
             }
@@ -352,7 +364,12 @@ impl Arm for Shared {
 
     async fn clear_fault(&self, _timeout: Duration) -> Result<(), DeviceError> {
         *self.world().calls.entry("clear_arm").or_default() += 1;
-        self.world().arm_stopped = false;
+        let mut world = self.world();
+        world.arm_stopped = world.is_wedged();
+        if world.arm_stopped {
+            let (device, kind) = ("arm".into(), FaultKind::ProtectiveStop);
+            return Err(DeviceError::Fault { device, kind, detail: "stopped again".into() });
+        }
         Ok(())
     }
 }
