@@ -1,6 +1,6 @@
-"""An independent Modbus slave (pymodbus) that plays a Robotiq 2F, for our master. Run by robotiq.sh.
+"""An independent Modbus slave (pymodbus) that plays a Robotiq 2F or 3-Finger, for our master. Run by robotiq.sh.
 
-    modbus_slave.py rtu | tcp
+    modbus_slave.py rtu|tcp [2f|3f]
 
 Prints where our master finds it: a serial port, or an address.
 
@@ -36,19 +36,70 @@ def status(request):
     return [first << 8, position, round(STATE["count"]) << 8]
 
 
-def device():
+# A 3-Finger: where its axes A, B, C and scissor are, and since when it changes what.
+THREE = {"at": [0.0, 0.0, 0.0, 140.0], "mode": 0, "phase": 0, "left": 0}
+# Finger B meets something there.
+OBJECT_AT = 80
+
+
+def status_of_three_fingers(words):
+    """Eight status registers of a 3-Finger that was asked this, by the manufacturer's table."""
+    request = [byte for word in words for byte in (word >> 8, word & 0xFF)]
+    active, mode, goes = request[0] & 1, request[0] >> 1 & 3, request[0] >> 3 & 1
+    if not active:
+        THREE.update(phase=0, mode=0, left=0)
+    elif THREE["phase"] == 0:
+        THREE.update(phase=1, left=5)
+    elif THREE["phase"] == 3 and mode != THREE["mode"] and not request[1]:
+        THREE.update(phase=2, left=5)
+    elif THREE["left"] > 0:
+        THREE["left"] -= 1
+    elif THREE["phase"] in (1, 2):
+        THREE.update(phase=3, mode=mode)
+    asked = [request[3 + 3 * i] for i in range(4)]
+    alone_fingers, alone_scissor = request[1] >> 2 & 1, request[1] >> 3 & 1
+    if not alone_fingers:
+        asked[1] = asked[2] = asked[0]
+    if not alone_scissor:
+        asked[3] = round(THREE["at"][3])
+    met, moving = [3] * 4, False
+    for i in range(4):
+        ends = (asked[i], OBJECT_AT) if i == 1 and asked[i] > OBJECT_AT else (asked[i],)
+        target = min(ends)
+        if goes and THREE["phase"] == 3:
+            way = target - THREE["at"][i]
+            THREE["at"][i] += max(-25, min(25, way))
+        if abs(target - THREE["at"][i]) > 0.5:
+            met[i], moving = 0, True
+        elif target != asked[i]:
+            met[i] = 2
+    held = met[:3].count(2)
+    stopped = 0 if moving or not goes else 3 if held == 0 else 2 if held == 3 else 1
+    first = active | THREE["mode"] << 1 | goes << 3 | THREE["phase"] << 4 | stopped << 6
+    second = sum(bits << 2 * i for i, bits in enumerate(met))
+    answer = [first, second, 0]
+    for i in range(4):
+        answer += [asked[i], round(THREE["at"][i]), 5 * (met[i] == 2)]
+    answer.append(0)
+    return [answer[i] << 8 | answer[i + 1] for i in range(0, 16, 2)]
+
+
+def device(three, from_zero):
     """A device whose status follows its request whenever it is read."""
-    written = [0, 0, 0]
+    count = 8 if three else 3
+    written = [0] * count
+    outputs, inputs = (0, 0) if from_zero else (1000, 2000)
+    answer = status_of_three_fingers if three else status
 
     async def action(_function, start, address, _count, registers, values):
         if values is not None:
             for i, value in enumerate(values):
-                written[address - 1000 + i] = value
+                written[address - outputs + i] = value
         else:
-            at = 2000 - start
-            registers[at : at + 3] = status(written)
+            at = inputs - start
+            registers[at : at + count] = answer(written)
 
-    registers = SimData(1000, count=1003, values=0, datatype=DataType.REGISTERS)
+    registers = SimData(outputs, count=inputs - outputs + count, values=0, datatype=DataType.REGISTERS)
     return SimDevice(9, simdata=[registers], action=action)
 
 
@@ -68,12 +119,13 @@ def line():
 
 
 async def main():
+    three = sys.argv[2:] == ["3f"]
     if sys.argv[1] == "rtu":
         ours, theirs = line()
-        server = ModbusSerialServer(device(), framer=FramerType.RTU, port=ours, baudrate=115200)
+        server = ModbusSerialServer(device(three, False), framer=FramerType.RTU, port=ours, baudrate=115200)
         print(f"rtu:{theirs}", flush=True)
     else:
-        server = ModbusTcpServer(device(), address=("127.0.0.1", 5021))
+        server = ModbusTcpServer(device(three, three), address=("127.0.0.1", 5021))
         print("tcp:127.0.0.1:5021", flush=True)
     await server.serve_forever()
 

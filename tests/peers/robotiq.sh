@@ -14,18 +14,24 @@ fi
 examples=${CARGO_TARGET_DIR:-target}/debug/examples
 cargo build --quiet -p graspd-adapters-emulators --example robotiq_gripper
 timeout 180 "$venv/bin/python" tests/peers/robotiq.py "$examples/robotiq_gripper"
+timeout 240 "$venv/bin/python" tests/peers/robotiq_three_finger.py "$examples/robotiq_gripper"
 
 # Our master against pymodbus as the slave.
-cargo build --quiet -p graspd-adapters-robotiq --example grip
-for kind in rtu tcp; do
-    coproc slave { exec "$venv/bin/python" tests/peers/modbus_slave.py "$kind"; }
-    pid=$slave_PID
-    trap 'kill "$pid" 2>/dev/null || true' EXIT
-    read -r place <&"${slave[0]}"
-    sleep 1
-    echo "pymodbus 3.16.1 as slave, $kind"
-    timeout 60 "$examples/grip" "$place" 1000
-    kill "$pid"
-    wait "$pid" 2>/dev/null || true
+cargo build --quiet -p graspd-adapters-robotiq --example grip --example three_finger
+for model in 2f 3f; do
+    for kind in rtu tcp; do
+        coproc slave { exec "$venv/bin/python" tests/peers/modbus_slave.py "$kind" "$model"; }
+        pid=$slave_PID
+        trap 'kill "$pid" 2>/dev/null || true' EXIT
+        read -r place <&"${slave[0]}"
+        sleep 1
+        echo "pymodbus 3.16.1 as slave, $model, $kind"
+        case "$model" in
+            2f) timeout 60 "$examples/grip" "$place" 1000 ;;
+            3f) timeout 60 "$examples/three_finger" "$place" ;;
+        esac
+        kill "$pid"
+        wait "$pid" 2>/dev/null || true
+    done
 done
 echo "all ok, both ways"

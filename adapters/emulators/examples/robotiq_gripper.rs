@@ -5,11 +5,14 @@
 //!
 //! With an address, for example 127.0.0.9, servers take their usual ports: 502 would need rights, so Modbus TCP is on
 //! 5020; RTU over TCP on 54321; the wrist socket on 63352. Without one they take free ports.
+//!
+//! Lines of standard input say what befalls it: `object AXIS COUNT` and `object AXIS none` put something between the
+//! fingers, by the motors' numbers, or take it away; `fault CODE` gives it a fault.
 
-use std::io::Read;
+use std::io::BufRead;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-use graspd_adapters_emulators::robotiq::{Gripper, GripperConfig, KinematicPlant, Model};
+use graspd_adapters_emulators::robotiq::{Gripper, GripperConfig, KinematicPlant, Model, Objects};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -20,6 +23,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     } else {
         (Model::TwoFinger, KinematicPlant::two_finger())
     };
+    let objects = plant.objects();
     let gripper = Gripper::new(GripperConfig::new(model), plant);
     let at = |port: u16| match arguments.get(1) {
         Some(address) => Ok::<_, std::net::AddrParseError>(SocketAddr::new(address.parse::<IpAddr>()?, port)),
@@ -37,6 +41,26 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("socket {}", socket.address());
     }
     println!("ready");
-    tokio::task::spawn_blocking(|| std::io::stdin().read_to_end(&mut Vec::new())).await??;
+    let listening = tokio::task::spawn_blocking(move || {
+        for line in std::io::stdin().lock().lines() {
+            let line = line?;
+            if befall(&gripper, &objects, &line).is_none() {
+                eprintln!("found {line:?}, expected `object AXIS COUNT|none` or `fault CODE`");
+            }
+        }
+        Ok::<_, std::io::Error>(())
+    });
+    listening.await??;
     Ok(())
+}
+
+/// Lets a line befall the gripper; `None` for a line that says nothing.
+fn befall(gripper: &Gripper, objects: &Objects, line: &str) -> Option<()> {
+    match line.split_whitespace().collect::<Vec<_>>()[..] {
+        ["object", axis, "none"] => objects.between(axis.parse().ok()?, None),
+        ["object", axis, count] => objects.between(axis.parse().ok()?, Some(count.parse().ok()?)),
+        ["fault", code] => gripper.fault(code.parse().ok()?),
+        _ => return None,
+    }
+    Some(())
 }

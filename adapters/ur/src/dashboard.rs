@@ -55,6 +55,18 @@ pub struct Dashboard {
     timeout: Duration,
 }
 
+/// The first line of what has come, without the white space at its ends; `None` while it has no end yet.
+///
+/// # Errors
+/// What is wrong with it: more bytes than a dashboard says in a line.
+pub fn dashboard_line(came: &[u8]) -> Result<Option<String>, String> {
+    match came.iter().position(|b| *b == b'\n') {
+        Some(end) => Ok(Some(String::from_utf8_lossy(&came[..end]).trim().to_owned())),
+        None if came.len() > LONGEST => Err(format!("a line of more than {LONGEST} bytes")),
+        None => Ok(None),
+    }
+}
+
 impl Dashboard {
     /// For a controller; each command is answered within `timeout` or fails.
     pub fn new(host: impl Into<String>, port: u16, timeout: Duration) -> Self {
@@ -90,7 +102,7 @@ impl Dashboard {
 
     async fn line(&self, stream: &mut (impl AsyncRead + Unpin)) -> Result<String, DashboardError> {
         let link = |what: String| DashboardError::Link(format!("{}:{}: {what}", self.host, self.port));
-        let mut line = Vec::new();
+        let mut came = Vec::new();
         // Lines are short, and nothing follows one before the next command: read what comes, up to its end.
         let mut buffer = [0; 256];
         loop {
@@ -98,12 +110,9 @@ impl Dashboard {
             if count == 0 {
                 return Err(link("closed in the middle of a line".into()));
             }
-            line.extend_from_slice(&buffer[..count]);
-            if let Some(end) = line.iter().position(|b| *b == b'\n') {
-                return Ok(String::from_utf8_lossy(&line[..end]).trim().to_owned());
-            }
-            if line.len() > LONGEST {
-                return Err(link(format!("a line of more than {LONGEST} bytes")));
+            came.extend_from_slice(&buffer[..count]);
+            if let Some(line) = dashboard_line(&came).map_err(link)? {
+                return Ok(line);
             }
         }
     }

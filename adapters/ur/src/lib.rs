@@ -23,7 +23,7 @@ mod upload;
 
 pub use arm::UrArm;
 pub use config::{Arrival, BasePose, Heartbeat, Payload, Ports, UrConfig, UrLimits, Workspace};
-pub use dashboard::{Dashboard, DashboardError};
+pub use dashboard::{Dashboard, DashboardError, dashboard_line};
 pub use diagnose::diagnose;
 pub use events::UrEvent;
 pub use primary::{PrimaryError, PrimaryMessage, PrimaryReader};

@@ -11,7 +11,7 @@ use super::plant::Plant;
 use super::rtu::RtuSlave;
 use super::socket;
 use super::tcp::{self, Server};
-use crate::line::SerialLine;
+use crate::line::{LineDevice, SerialLine};
 
 /// Which gripper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,6 +54,11 @@ impl Gripper {
 
     pub(super) fn lock(&self) -> MutexGuard<'_, Machine> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The gripper as what is at the end of a serial line of Modbus RTU, for lines that somebody else serves.
+    pub fn rtu_device(&self) -> impl LineDevice {
+        super::rtu::RtuSlave::new(self.clone())
     }
 
     /// Gives the gripper a fault by its code; 0 takes it away. Codes from 0x0A on (0x0D for a 3-Finger) stop it until it is

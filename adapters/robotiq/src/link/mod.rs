@@ -8,6 +8,8 @@ use std::time::Duration;
 
 use modbus::ModbusLink;
 use socket::SocketLink;
+pub use socket::socket_status;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::time::{Instant, sleep_until};
 
 use crate::settings::{LinkSettings, RobotiqSettings};
@@ -89,6 +91,16 @@ impl Link {
             _ => Kind::Modbus(ModbusLink::open(settings).await?),
         };
         Ok(Self { kind, gap: Duration::from_millis(settings.gap_ms), free: Instant::now() })
+    }
+
+    /// A Modbus link over a stream that is open already, for lines that somebody else opens: frames are those of the link
+    /// that the settings name.
+    pub fn attach<T>(stream: T, settings: &RobotiqSettings) -> Self
+    where
+        T: AsyncRead + AsyncWrite + std::fmt::Debug + Unpin + Send + 'static,
+    {
+        let kind = Kind::Modbus(ModbusLink::attach(stream, settings));
+        Self { kind, gap: Duration::from_millis(settings.gap_ms), free: Instant::now() }
     }
 
     /// Status bytes of the gripper.

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::io;
 use std::time::Duration;
 
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 use tokio_modbus::client::{Client, Context, rtu, tcp};
@@ -32,27 +33,34 @@ impl std::fmt::Debug for ModbusLink {
 
 impl ModbusLink {
     pub(super) async fn open(settings: &RobotiqSettings) -> Result<Self, LinkError> {
-        let (slave, count) = (Slave(settings.slave), Count::default());
         let reply_timeout = Duration::from_millis(settings.reply_timeout_ms);
+        Ok(match &settings.link {
+            LinkSettings::Rtu { port, baud } => Self::attach(serial(port, *baud).await?, settings),
+            LinkSettings::RtuOverTcp { address }
+            | LinkSettings::ModbusTcp { address }
+            | LinkSettings::Socket { address } => {
+                Self::attach(connect(address, reply_timeout).await?, settings)
+            }
+        })
+    }
+
+    /// Over a stream that is open already.
+    pub(super) fn attach<T>(stream: T, settings: &RobotiqSettings) -> Self
+    where
+        T: AsyncRead + AsyncWrite + std::fmt::Debug + Unpin + Send + 'static,
+    {
+        let (slave, count) = (Slave(settings.slave), Count::default());
+        let stream = Counted::new(stream, count.clone());
         let context = match &settings.link {
-            LinkSettings::Rtu { port, baud } => {
-                let stream = serial(port, *baud).await?;
-                rtu::attach_slave(Counted::new(stream, count.clone()), slave)
-            }
-            LinkSettings::RtuOverTcp { address } => {
-                let stream = connect(address, reply_timeout).await?;
-                rtu::attach_slave(Counted::new(stream, count.clone()), slave)
-            }
-            LinkSettings::ModbusTcp { address } | LinkSettings::Socket { address } => {
-                let stream = connect(address, reply_timeout).await?;
-                tcp::attach_slave(Counted::new(stream, count.clone()), slave)
-            }
+            LinkSettings::Rtu { .. } | LinkSettings::RtuOverTcp { .. } => rtu::attach_slave(stream, slave),
+            LinkSettings::ModbusTcp { .. } | LinkSettings::Socket { .. } => tcp::attach_slave(stream, slave),
         };
         let [reads_from, writes_from] = settings.first_registers();
         // At most eight registers.
         let registers = u16::try_from(settings.model.bytes() / 2).unwrap_or(8);
         let input_registers = settings.reads_input_registers();
-        Ok(Self { context, count, reply_timeout, reads_from, writes_from, registers, input_registers })
+        let reply_timeout = Duration::from_millis(settings.reply_timeout_ms);
+        Self { context, count, reply_timeout, reads_from, writes_from, registers, input_registers }
     }
 
     #[cfg(test)]

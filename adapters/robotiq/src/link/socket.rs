@@ -45,7 +45,7 @@ impl SocketLink {
             Ok(())
         };
         finish(timeout(after, exchange).await, after, &came)?;
-        status(&came)
+        socket_status(&came)
     }
 
     pub(super) async fn write(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
@@ -95,8 +95,12 @@ fn set_line(bytes: &[u8]) -> String {
     )
 }
 
-/// Status bytes from answer lines.
-fn status(came: &[u8]) -> Result<Vec<u8>, LinkError> {
+/// The six status bytes of a 2F from the answer lines of a wrist socket, in the order in which they were asked for: `ACT`,
+/// `GTO`, `STA`, `OBJ`, `FLT`, `PRE`, `POS`.
+///
+/// # Errors
+/// [`LinkError::Answer`] with the variable, what came and what was expected; [`LinkError::Unavailable`].
+pub fn socket_status(came: &[u8]) -> Result<Vec<u8>, LinkError> {
     let mut values = [0u8; ASKED.len()];
     let mut lines = came.split(|b| *b == b'\n');
     for (value, name) in values.iter_mut().zip(ASKED) {
@@ -142,25 +146,25 @@ mod tests {
         );
         assert_eq!(set_line(&[0; 6]), "SET POS 0 SPE 0 FOR 0 ARD 0 ATR 0 ACT 0 GTO 0\n");
         let answer = b"ACT 1\nGTO 1\nSTA 3\nOBJ 2\nFLT 0\nPRE 255\nPOS 189\n";
-        assert_eq!(status(answer).unwrap(), [0xB9, 0, 0, 0xFF, 0xBD, 0]);
+        assert_eq!(socket_status(answer).unwrap(), [0xB9, 0, 0, 0xFF, 0xBD, 0]);
     }
 
     #[test]
     fn what_is_no_answer_is_named() {
-        let error = status(b"ACT 1\nGTO ?\n").unwrap_err();
+        let error = socket_status(b"ACT 1\nGTO ?\n").unwrap_err();
         assert_eq!(error, LinkError::Unavailable { variable: "GTO".into() });
-        let error = status(b"ACT 1\nSTA 3\n").unwrap_err().to_string();
+        let error = socket_status(b"ACT 1\nSTA 3\n").unwrap_err().to_string();
         assert_eq!(error, "GET GTO: found \"STA 3\", expected GTO and its value");
-        let error = status(b"ACT 1\nGTO 1\nSTA 900\n").unwrap_err().to_string();
+        let error = socket_status(b"ACT 1\nGTO 1\nSTA 900\n").unwrap_err().to_string();
         assert_eq!(error, "GET STA: found \"STA 900\", expected STA and a number from 0 to 3");
-        assert!(status(b"").is_err());
+        assert!(socket_status(b"").is_err());
     }
 
     proptest! {
         #[test]
         fn no_answer_panics(bytes in proptest::collection::vec(any::<u8>(), 0..200), text in "([A-Z]{3} [0-9?]{1,4}\n){0,8}") {
-            let _ = status(&bytes);
-            let _ = status(text.as_bytes());
+            let _ = socket_status(&bytes);
+            let _ = socket_status(text.as_bytes());
         }
     }
 }
