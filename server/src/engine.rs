@@ -22,6 +22,7 @@ use crate::estimates::{Estimates, SceneKind};
 use crate::estimators::Estimators;
 use crate::metrics::{Metrics, PlanOutcome};
 use crate::pool::{Estimate, Flow, Order, Pool, PoolError, Priority, SceneRoom, Ticket, Turn};
+use crate::recorder::{CallRecord, Recorder, new_plan_id};
 use crate::registry::Registry;
 use crate::scenes::{Scenes, SharedScene};
 
@@ -49,6 +50,8 @@ pub(crate) struct Engine {
     pub(crate) scenes: Scenes,
     /// Answers by request id.
     pub(crate) answers: Arc<Answers>,
+    /// Records calls, where somebody wants that.
+    pub(crate) recorder: Option<Recorder>,
 }
 
 /// A hand's answer.
@@ -95,12 +98,19 @@ impl Repeatable {
 pub(crate) struct Task {
     hand: Arc<Hand>,
     job: Arc<HandJob>,
+    /// The plan's name.
+    plan_id: Arc<str>,
 }
 
 impl Task {
     /// The caller's name for it.
     pub(crate) fn id(&self) -> &str {
         &self.job.task_id
+    }
+
+    /// The hand.
+    pub(crate) fn hand(&self) -> &Arc<Hand> {
+        &self.hand
     }
 }
 
@@ -149,7 +159,25 @@ impl Engine {
 
     /// A task with its hand.
     pub(crate) fn task(&self, job: HandJob) -> Result<Task, ServiceError> {
-        Ok(Task { hand: self.registry.get(&job.hand_id)?.hand, job: Arc::new(job) })
+        let hand = self.registry.get(&job.hand_id)?.hand;
+        Ok(Task { hand, job: Arc::new(job), plan_id: new_plan_id().into() })
+    }
+
+    /// An answer leaves: outcomes may be reported for it, and it says whether it is recorded.
+    pub(crate) fn leaves(&self, is_recorded: bool, answer: &mut Answer) {
+        if let (Some(recorder), Ok(response)) = (&self.recorder, answer) {
+            response.recorded = is_recorded;
+            recorder.remember(response);
+        }
+    }
+
+    /// The one answer of a call leaves.
+    pub(crate) fn leaves_alone(&self, record: Option<CallRecord>, task: &Task, answer: &mut Answer) {
+        self.leaves(record.is_some(), answer);
+        if let (Some(recorder), Some(mut record)) = (&self.recorder, record) {
+            record.push(task.id(), Some(task.hand()), answer);
+            recorder.finish(record);
+        }
     }
 
     /// Queues a call for one hand as one job. `on_better` gets each better answer, on a planning thread.
@@ -491,6 +519,7 @@ impl Call {
             capture_time: self.scene.capture_time(),
             estimator: self.estimator.name(),
             seed: task.job.options.seed,
+            plan_id: &task.plan_id,
             stages: &[],
             invalid_pixels: 0,
             queued: Duration::ZERO,

@@ -179,6 +179,18 @@ pub enum ServiceError {
     /// The id of the request was used for another one.
     #[error("request_id: found one that was used for another request, expected a new one for each request")]
     RequestIdReused,
+    /// There is no such plan, or not any more.
+    #[error("plan {id:?}: not found; it is not one of this server, or too old")]
+    UnknownPlan {
+        /// As given.
+        id: String,
+    },
+    /// Outcomes have no place to be kept.
+    #[error("this server keeps no recording, and so no outcomes; start it with --record DIR")]
+    NoRecording,
+    /// The recording could not be written.
+    #[error("the outcome could not be written to the recording; the server's log says why")]
+    NotRecorded,
     /// Nobody knows who calls.
     #[error("not authenticated: {problem}")]
     Unauthenticated {

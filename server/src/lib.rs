@@ -20,11 +20,14 @@ mod engine;
 mod estimates;
 mod http;
 mod metrics;
+mod random;
+mod recorder;
 mod scenes;
 mod serve;
 mod service;
 
 pub use deadline::{CallBudget, CancelOnDrop};
 pub use estimators::Estimators;
+pub use recorder::RecordConfig;
 pub use registry::read_hand_dir;
 pub use serve::{LoadProbe, ServeError, Server, ServerConfig, shutdown_signal};

@@ -19,7 +19,9 @@ use tonic_health::server::HealthReporter;
 
 use crate::engine::Engine;
 use crate::estimators::Estimators;
+use crate::metrics::Metrics;
 use crate::pool::{Pool, PoolConfig, PoolError};
+use crate::recorder::{RecordConfig, Recorder};
 use crate::registry::{FolderError, Registry};
 use crate::scenes::Scenes;
 use crate::security::{Acceptor, Access, Limits, Quotas, Tls, TlsError, WrongAccess, accept};
@@ -37,6 +39,8 @@ const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 /// After the grace period, running calls have this long to notice that they were cancelled.
 const ABORT_GRACE: Duration = Duration::from_millis(500);
+/// The recording has this long to write what was answered.
+const RECORD_GRACE: Duration = Duration::from_secs(10);
 
 /// How a server is set up.
 #[derive(Debug, Clone)]
@@ -61,6 +65,8 @@ pub struct ServerConfig {
     pub hands_dir: Option<PathBuf>,
     /// The contact estimators. Default: the geometric rule.
     pub estimators: Estimators,
+    /// What is recorded. Default: nothing.
+    pub record: Option<RecordConfig>,
     /// How long running calls may take to finish once the server is asked to end. Default 10 s.
     pub drain_grace: Duration,
 }
@@ -79,6 +85,7 @@ impl Default for ServerConfig {
             pool: PoolConfig::for_cores(cores),
             hands_dir: None,
             estimators: Estimators::default(),
+            record: None,
             drain_grace: Duration::from_secs(10),
         }
     }
@@ -124,6 +131,9 @@ pub enum ServeError {
     /// The folder of hands cannot be read.
     #[error("the folder of hands cannot be read")]
     Hands(#[from] FolderError),
+    /// The recording cannot be kept.
+    #[error(transparent)]
+    Recording(#[from] graspd_recording::FolderError),
     /// The planning threads cannot be started.
     #[error(transparent)]
     Pool(#[from] PoolError),
@@ -206,6 +216,13 @@ impl Server {
         })
         .await
         .map_err(|e| ServeError::Loading(e.to_string()))??;
+        let metrics: Arc<Metrics> = Arc::default();
+        let record = config.record.clone().map(|record| (record, Arc::clone(&metrics)));
+        let recorder = tokio::task::spawn_blocking(move || {
+            record.map(|(record, metrics)| Recorder::start(&record, metrics)).transpose()
+        })
+        .await
+        .map_err(|e| ServeError::Loading(e.to_string()))??;
         let engine = Arc::new(Engine {
             pool: Pool::start(config.pool)?,
             registry,
@@ -213,9 +230,10 @@ impl Server {
             aborted: Arc::default(),
             overrun: Arc::default(),
             estimates: Arc::default(),
-            metrics: Arc::default(),
+            metrics,
             scenes: Scenes::default(),
             answers: Arc::default(),
+            recorder,
         });
         let fault = |source| ServeError::Bind { addr, source };
         let listener = TcpListener::bind(addr).await.map_err(fault)?;
@@ -250,6 +268,17 @@ impl Server {
     /// # Errors
     /// [`ServeError`] when the transport fails.
     pub async fn serve_until(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
+        let engine = Arc::clone(&self.engine);
+        let ended = self.serve(shutdown).await;
+        // What was answered is written before the process ends.
+        let written = tokio::task::spawn_blocking(move || engine.recorder.as_ref().map(Recorder::close));
+        if tokio::time::timeout(RECORD_GRACE, written).await.is_err() {
+            tracing::error!("the recording is not written to its end");
+        }
+        ended
+    }
+
+    async fn serve(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
         let Self { listener, local_addr, engine, acceptor, http, config } = self;
         let draining: Arc<AtomicBool> = Arc::default();
         let planner = PlannerServiceServer::new(PlannerApi { engine: Arc::clone(&engine) })

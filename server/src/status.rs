@@ -155,6 +155,13 @@ fn mapping(error: &ServiceError) -> Mapping {
         }
         ServiceError::RequestIdReused => Mapping::new(Code::InvalidArgument, "REQUEST_ID_REUSED")
             .violation("request_id", "found one that was used for another request, expected a new one"),
+        ServiceError::UnknownPlan { id } => Mapping::new(Code::NotFound, "PLAN_NOT_FOUND").resource(
+            "graspd.v1.Plan",
+            &shortened(id),
+            "no plan of this name, or not any more",
+        ),
+        ServiceError::NoRecording => Mapping::new(Code::FailedPrecondition, "NO_RECORDING"),
+        ServiceError::NotRecorded => Mapping::new(Code::Unavailable, "NOT_RECORDED"),
         ServiceError::Deadline { elapsed, stage } => {
             Mapping::new(Code::DeadlineExceeded, "DEADLINE_EXCEEDED")
                 .with("elapsed_ms", elapsed.as_millis())
@@ -267,6 +274,9 @@ mod tests {
                 "SLOW_REQUEST",
             ),
             (ServiceError::RequestIdReused, Code::InvalidArgument, "REQUEST_ID_REUSED"),
+            (ServiceError::UnknownPlan { id: text() }, Code::NotFound, "PLAN_NOT_FOUND"),
+            (ServiceError::NoRecording, Code::FailedPrecondition, "NO_RECORDING"),
+            (ServiceError::NotRecorded, Code::Unavailable, "NOT_RECORDED"),
             (ServiceError::Cancelled, Code::Cancelled, "CANCELLED"),
             (ServiceError::Draining, Code::Unavailable, "DRAINING"),
             (ServiceError::JobPanicked, Code::Internal, "JOB_PANICKED"),

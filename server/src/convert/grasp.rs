@@ -29,6 +29,8 @@ pub(crate) struct PlanContext<'a> {
     pub(crate) estimator: &'a str,
     /// The seed.
     pub(crate) seed: u64,
+    /// The plan's name.
+    pub(crate) plan_id: &'a str,
     /// Stages before those that the plan has timed: decode.
     pub(crate) stages: &'a [(&'static str, Duration)],
     /// Depth pixels that could not be distances.
@@ -52,6 +54,8 @@ pub(crate) fn plan_response(
         stats: Some(stats_message(&plan.stats, context)),
         trace: plan.trace.iter().map(objective_message).collect(),
         capture_time: context.capture_time,
+        plan_id: context.plan_id.to_owned(),
+        ..Default::default()
     }
 }
 
@@ -72,6 +76,8 @@ pub(crate) fn out_of_time_response(context: &PlanContext<'_>) -> v1::PlanGraspsR
         stats: Some(stats_message(&stats, context)),
         trace: Vec::new(),
         capture_time: context.capture_time,
+        plan_id: context.plan_id.to_owned(),
+        ..Default::default()
     }
 }
 
@@ -101,6 +107,7 @@ fn grasp_message(grasp: &Grasp, context: &PlanContext<'_>) -> v1::Grasp {
         clearance_m: grasp.clearance_m,
         centroid: Some(vector_message(&grasp.centroid.coords)),
         label: grasp.label.map(i32::from),
+        uncalibrated_score: grasp.score,
     }
 }
 

@@ -62,6 +62,7 @@ fn engine(scene_room: usize) -> Arc<Engine> {
         scenes: Scenes::default(),
         metrics: Arc::default(),
         answers: Arc::default(),
+        recorder: None,
     })
 }
 
