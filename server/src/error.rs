@@ -197,7 +197,17 @@ pub enum ServiceError {
         /// What is wrong.
         problem: &'static str,
     },
-    /// The caller may not call this method, or not with this priority.
+    /// The caller may not be so urgent.
+    #[error("priority {asked}: {caller} may ask for {most_urgent} at most")]
+    TooUrgent {
+        /// As asked for.
+        asked: &'static str,
+        /// The caller's name.
+        caller: String,
+        /// The most urgent that it may ask for.
+        most_urgent: &'static str,
+    },
+    /// The caller may not call this method.
     #[error("{what} asks for the role {needs}, and {caller} is {has}")]
     Forbidden {
         /// What was asked for.

@@ -145,6 +145,11 @@ fn mapping(error: &ServiceError) -> Mapping {
         ServiceError::Forbidden { needs, has, .. } => {
             Mapping::new(Code::PermissionDenied, "FORBIDDEN").with("needs_role", needs).with("has_role", has)
         }
+        ServiceError::TooUrgent { asked, most_urgent, .. } => {
+            Mapping::new(Code::PermissionDenied, "PRIORITY_FORBIDDEN")
+                .with("asked", asked)
+                .with("most_urgent", most_urgent)
+        }
         ServiceError::Quota { what, limit } => {
             let mut mapping = Mapping::new(Code::ResourceExhausted, "QUOTA");
             mapping.details.add_quota_failure_violation(*what, format!("at most {limit} for one caller"));
@@ -266,6 +271,11 @@ mod tests {
                 ServiceError::Forbidden { what: text(), needs: "operator", caller: text(), has: "viewer" },
                 Code::PermissionDenied,
                 "FORBIDDEN",
+            ),
+            (
+                ServiceError::TooUrgent { asked: "high", caller: text(), most_urgent: "low" },
+                Code::PermissionDenied,
+                "PRIORITY_FORBIDDEN",
             ),
             (ServiceError::Quota { what: "calls", limit: 4 }, Code::ResourceExhausted, "QUOTA"),
             (

@@ -45,11 +45,12 @@ impl PlannerService for PlannerApi {
     ) -> Result<Response<v1::PlanGraspsResponse>, Status> {
         let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
         let request = request.into_inner();
+        name_in_log(&request.request_id);
         let asked = asked(&request.request_id, &request);
         let record = self.record(request.record, &clock, || Recorded::PlanGrasps(request.clone()));
         let Parsed { scene, jobs, request_id } =
             convert::plan_grasps(request, "").map_err(ServiceError::from)?;
-        let task = self.engine.task(jobs)?;
+        let task = self.engine.task(&caller, jobs)?;
         let call = self.engine.call(clock, &caller, scene)?;
         let _cancel = call.budget.cancel_on_drop();
         let repeatable = repeatable(request_id, &caller, asked);
@@ -71,11 +72,12 @@ impl PlannerService for PlannerApi {
             .into_inner()
             .plan
             .ok_or_else(|| ServiceError::from(FieldError::missing("plan", "a request")))?;
+        name_in_log(&plan.request_id);
         let asked = asked(&plan.request_id, &plan);
         let record = self.record(plan.record, &clock, || Recorded::PlanGrasps(plan.clone()));
         let Parsed { scene, jobs, request_id } =
             convert::plan_grasps(plan, "plan").map_err(ServiceError::from)?;
-        let task = self.engine.task(jobs)?;
+        let task = self.engine.task(&caller, jobs)?;
         let call = self.engine.call(clock, &caller, scene)?;
         let cancel = call.budget.cancel_on_drop();
         let repeatable = repeatable(request_id, &caller, asked);
@@ -109,11 +111,13 @@ impl PlannerService for PlannerApi {
     ) -> Result<Response<Self::PlanMultiHandStream>, Status> {
         let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
         let request = request.into_inner();
+        name_in_log(&request.request_id);
         let asked = asked(&request.request_id, &request);
         let mut record = self.record(request.record, &clock, || Recorded::PlanMultiHand(request.clone()));
         let is_recorded = record.is_some();
         let Parsed { scene, jobs, request_id } = convert::multi_hand(request).map_err(ServiceError::from)?;
-        let tasks = jobs.into_iter().map(|job| self.engine.task(job)).collect::<Result<Vec<_>, _>>()?;
+        let mut tasks =
+            jobs.into_iter().map(|job| self.engine.task(&caller, job)).collect::<Result<Vec<_>, _>>()?;
         let call = self.engine.call(clock, &caller, scene)?;
         let cancel = call.budget.cancel_on_drop();
         let repeatable = repeatable(request_id, &caller, asked);
@@ -129,15 +133,22 @@ impl PlannerService for PlannerApi {
         tokio::spawn(async move {
             let _cancel = cancel;
             let mut answers = JoinSet::new();
+            engine.quickest_first(&mut tasks);
             for task in tasks {
                 let (engine, call, read) = (Arc::clone(&engine), call.clone(), read.clone());
+                // Queued here, in this order; what may have an answer already is only queued if it has none.
+                let queued = match (&repeatable, &read) {
+                    (None, Ok(read)) => Some(engine.submit_hand(&call, read, &task)),
+                    _ => None,
+                };
                 let repeatable = repeatable.as_ref().map(|r| r.task(&task));
                 answers.spawn(async move {
                     let plan = async || {
                         // From here on the scene lives as long as the jobs that need it.
-                        let ticket = match read {
-                            Ok(read) => engine.submit_hand(&call, &read, &task)?,
-                            Err(late) => return call.without_scene(late, &task),
+                        let ticket = match (queued, read) {
+                            (Some(queued), _) => queued?,
+                            (None, Ok(read)) => engine.submit_hand(&call, &read, &task)?,
+                            (None, Err(late)) => return call.without_scene(late, &task),
                         };
                         let mut answer = engine.answer(&call, &task, ticket).await;
                         engine.leaves(is_recorded, &mut answer);
@@ -183,7 +194,14 @@ impl PlannerApi {
         clock: &CallClock,
         request: impl FnOnce() -> Recorded,
     ) -> Option<CallRecord> {
-        self.engine.recorder.as_ref()?.begin(asked, clock, String::new(), request)
+        self.engine.recorder.as_ref()?.begin(asked, clock, clock.trace.id_text(), request)
+    }
+}
+
+/// The caller's name for the request, in each line of the log that is about it.
+fn name_in_log(request_id: &str) {
+    if !request_id.is_empty() {
+        tracing::Span::current().record("request_id", convert::shortened(request_id));
     }
 }
 
