@@ -11,6 +11,7 @@ use graspd_proto::v1::hand_task_result::Outcome;
 use graspd_proto::v1::plan_record::Request;
 use graspd_proto::v1::{PlanGraspsResponse, PlanRecord};
 use graspd_recording::Recording;
+use graspd_server::calibration::Calibration;
 use graspd_server::{RecordConfig, ServerConfig};
 use graspd_tests::{BoxScene, TestServer};
 
@@ -60,8 +61,8 @@ fn answer(record: &PlanRecord, task: usize) -> &PlanGraspsResponse {
     }
 }
 
-/// One call of each kind.
-async fn call_all(server: &TestServer) -> Vec<PlanGraspsResponse> {
+/// One call of each kind: three calls, four answers.
+pub(crate) async fn call_all(server: &TestServer) -> Vec<PlanGraspsResponse> {
     let client = server.client().await;
     let mut answers = vec![client.plan_grasps(&request(GRIPPER)).await.unwrap()];
     // 16-bit pixels, without a pose.
@@ -208,4 +209,35 @@ async fn outcomes_are_kept_with_their_plans_over_a_restart_too() {
     let elsewhere = TestServer::start().await;
     let error = call_error(elsewhere.client().await.report_outcome(&better).await);
     assert_eq!((error.code, error.reason.as_str()), (Code::FailedPrecondition, "NO_RECORDING"));
+}
+
+#[tokio::test]
+async fn a_calibration_makes_scores_shares_and_keeps_their_order() {
+    let knots = vec![(0.0, 0.05), (0.4, 0.1), (1.0, 0.7)];
+    let site = Calibration::new("bench 3", (120, 60), 1_800_000_000, knots).unwrap();
+    let plain = TestServer::start().await;
+    let calibrated =
+        TestServer::start_with(ServerConfig { calibration: Some(site.clone()), ..TestServer::config() }).await;
+    let before = plain.client().await.plan_grasps(&request(GRIPPER)).await.unwrap();
+    let client = calibrated.client().await;
+    let after = client.plan_grasps(&request(GRIPPER)).await.unwrap();
+    assert_eq!(before.calibration, None);
+    assert!(before.grasps.iter().all(|g| g.score == g.uncalibrated_score));
+    let said = after.calibration.unwrap();
+    assert_eq!((said.name.as_str(), said.outcome_count), ("bench 3", 120));
+    assert!(after.grasps.len() > 1 && after.grasps.len() == before.grasps.len());
+    for (a, b) in after.grasps.iter().zip(&before.grasps) {
+        assert_eq!((a.uncalibrated_score, &a.wrist_pose), (b.score, &b.wrist_pose));
+        assert_eq!(a.score, site.share(b.score));
+    }
+    assert!(after.grasps.is_sorted_by(|a, b| a.score >= b.score));
+    // A least score is one of the scores that the caller sees.
+    let least = (after.grasps[0].score + after.grasps[1].score) / 2.0;
+    if after.grasps[0].score > after.grasps[1].score {
+        let options = PlanOptions { seed: 1, min_score: Some(least), ..PlanOptions::default() };
+        let plan = PlanGraspsRequest { options: Some(options), ..request(GRIPPER) };
+        let fewer = client.plan_grasps(&plan).await.unwrap();
+        assert_eq!(fewer.grasps.len(), 1);
+        assert_eq!(fewer.grasps[0], after.grasps[0]);
+    }
 }
