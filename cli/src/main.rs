@@ -20,7 +20,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-use commands::{bench, demo, doctor, hands, load, plan, serve};
+use commands::{bench, demo, doctor, hands, load, plan, recalibrate, replay, serve};
 #[cfg(feature = "sim")]
 use commands::{cell, dataset, eval};
 #[cfg(feature = "devices")]
@@ -32,6 +32,18 @@ use commands::{device, emulate};
 struct Cli {
     #[command(subcommand)]
     command: Command,
+    /// Lines of the log, on standard error
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text, env = "GRASPD_LOG_FORMAT")]
+    log_format: LogFormat,
+}
+
+/// How a line of the log looks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
 }
 
 #[derive(Debug, Subcommand)]
@@ -43,6 +55,8 @@ enum Command {
     Bench(bench::BenchArgs),
     Load(Box<load::LoadArgs>),
     Doctor(Box<doctor::DoctorArgs>),
+    Replay(Box<replay::ReplayArgs>),
+    Recalibrate(recalibrate::RecalibrateArgs),
     #[cfg(feature = "sim")]
     Cell(cell::CellArgs),
     #[cfg(feature = "sim")]
@@ -61,13 +75,16 @@ fn main() -> ExitCode {
     let quiet = if matches!(cli.command, Command::Serve(_)) { "info" } else { "warn" };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
     let ansi = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt()
+    let lines = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(ansi)
         // Its own complaints go through a macro that panics when standard error is closed.
-        .log_internal_errors(false)
-        .init();
+        .log_internal_errors(false);
+    match cli.log_format {
+        LogFormat::Text => lines.init(),
+        LogFormat::Json => lines.json().flatten_event(true).with_span_list(false).init(),
+    }
     let result = match &cli.command {
         Command::Serve(args) => serve::run(args),
         Command::Plan(args) => plan::run(args),
@@ -76,6 +93,8 @@ fn main() -> ExitCode {
         Command::Bench(args) => bench::run(args),
         Command::Load(args) => load::run(args),
         Command::Doctor(args) => doctor::run(args),
+        Command::Replay(args) => replay::run(args),
+        Command::Recalibrate(args) => recalibrate::run(args),
         #[cfg(feature = "sim")]
         Command::Cell(args) => cell::run(args),
         #[cfg(feature = "sim")]

@@ -12,6 +12,8 @@ use crate::types::{
 
 /// One in so many jobs that begin may be the one that has waited longest.
 pub const RELIEF: u32 = 8;
+/// A job that was told to stop is expected to need this long for it.
+const STOPPING: Duration = Duration::from_millis(5);
 /// Nobody is asked to come back sooner than this, or later than the other.
 const RETRY: (Duration, Duration) = (Duration::from_millis(10), Duration::from_secs(30));
 
@@ -32,6 +34,8 @@ pub(crate) struct Running {
     pub(crate) began: Time,
     /// What was charged for it when it began.
     charged: Duration,
+    /// It was told to stop and will in a moment.
+    stops: bool,
 }
 
 /// Jobs that wait and run.
@@ -153,7 +157,7 @@ impl<T> Scheduler<T> {
         self.since_relief = if relieved { 0 } else { self.since_relief.saturating_add(1) };
         let Waiting { id, ask, payload, .. } = self.waiting.swap_remove(chosen);
         self.charge(&ask, ask.estimate.expected.as_secs_f64(), now);
-        self.running.insert(id, Running { ask, began: now, charged: ask.estimate.expected });
+        self.running.insert(id, Running { ask, began: now, charged: ask.estimate.expected, stops: false });
         Some(Begun { id, payload, ask, relieved })
     }
 
@@ -191,6 +195,13 @@ impl<T> Scheduler<T> {
     pub fn expect(&mut self, id: JobId, expected: Duration) {
         if let Some(running) = self.running.get_mut(&id) {
             running.ask.estimate.expected = expected;
+        }
+    }
+
+    /// Says that a running job was told to stop: nobody waits for the rest of what it was expected to take.
+    pub fn stops(&mut self, id: JobId) {
+        if let Some(running) = self.running.get_mut(&id) {
+            running.stops = true;
         }
     }
 
@@ -356,6 +367,7 @@ impl<T> Scheduler<T> {
     fn busy(&self, now: Time, instead: Option<(JobId, Duration)>) -> Vec<Time> {
         let left = |id: JobId, running: &Running| match instead {
             Some((other, left)) if other == id => left,
+            _ if running.stops => STOPPING,
             _ => {
                 let ran = now.saturating_sub(running.began);
                 let Estimate { expected, .. } = running.ask.estimate;

@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 use graspd_planner::budget::{Budget, Stop};
 use tonic::codegen::http::HeaderMap;
 
+use crate::trace::TraceContext;
+
 /// At most this much of a call's time is kept back for ranking, encoding and sending.
 const MOST_RESERVE: Duration = Duration::from_millis(250);
 /// A job that is later than this says something about itself, not about the next one.
@@ -19,13 +21,15 @@ pub(crate) struct CallClock {
     pub(crate) arrived: Instant,
     /// `grpc-timeout`, if the caller sent one.
     pub(crate) timeout: Option<Duration>,
+    /// What the call is part of.
+    pub(crate) trace: TraceContext,
 }
 
 impl CallClock {
     /// Reads the clock of a call that arrives now.
     pub(crate) fn start(headers: &HeaderMap) -> Self {
         let timeout = headers.get("grpc-timeout").and_then(|v| v.to_str().ok()).and_then(parse_timeout);
-        Self { arrived: Instant::now(), timeout }
+        Self { arrived: Instant::now(), timeout, trace: TraceContext::of_call(headers) }
     }
 
     /// Time since the arrival.
@@ -236,7 +240,11 @@ mod tests {
     #[test]
     fn planning_ends_before_the_answer_and_the_answer_before_the_caller() {
         for ms in [1, 20, 100, 1000, 60_000] {
-            let clock = CallClock { arrived: Instant::now(), timeout: Some(Duration::from_millis(ms)) };
+            let clock = CallClock {
+                arrived: Instant::now(),
+                timeout: Some(Duration::from_millis(ms)),
+                trace: TraceContext::default(),
+            };
             let answer = clock.answer_deadline().unwrap();
             for overrun in [Duration::ZERO, Duration::from_millis(7), Duration::from_secs(5)] {
                 let planning = clock.planning_deadline(overrun).unwrap();

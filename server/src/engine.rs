@@ -14,16 +14,20 @@ use graspd_planner::scene::{self, Scene, SceneError};
 use graspd_proto::v1;
 
 use crate::answers::{Answers, Joined, RequestKey};
+use crate::calibration::Calibration;
 use crate::caller::Caller;
 use crate::convert::{HandJob, PlanContext, SceneRequest, out_of_time_response, plan_response};
 use crate::deadline::{CallBudget, CallClock, Overrun};
 use crate::error::{FieldError, FieldReason, ServiceError};
 use crate::estimates::{Estimates, SceneKind};
 use crate::estimators::Estimators;
+use crate::health::Health;
 use crate::metrics::{Metrics, PlanOutcome};
 use crate::pool::{Estimate, Flow, Order, Pool, PoolError, Priority, SceneRoom, Ticket, Turn};
+use crate::recorder::{CallRecord, Recorder, new_plan_id};
 use crate::registry::Registry;
 use crate::scenes::{Scenes, SharedScene};
+use crate::trace::{Stages, Tracer, Value};
 
 /// Iterations that an answer needs to be worth having, where the caller takes the best so far.
 const LEAST_ITERATIONS: usize = 20;
@@ -49,6 +53,14 @@ pub(crate) struct Engine {
     pub(crate) scenes: Scenes,
     /// Answers by request id.
     pub(crate) answers: Arc<Answers>,
+    /// Records calls, where somebody wants that.
+    pub(crate) recorder: Option<Recorder>,
+    /// What scores become on their way out.
+    pub(crate) calibration: Option<Arc<Calibration>>,
+    /// Who is well.
+    pub(crate) health: Health,
+    /// Spans on their way out.
+    pub(crate) tracer: Tracer,
 }
 
 /// A hand's answer.
@@ -70,6 +82,8 @@ pub(crate) struct Call {
     overrun: Arc<Overrun>,
     estimates: Arc<Estimates>,
     metrics: Arc<Metrics>,
+    calibration: Option<Arc<Calibration>>,
+    tracer: Tracer,
     /// How long the call's first job waited, where others continue it.
     scene_queued: Arc<OnceLock<Duration>>,
 }
@@ -95,12 +109,19 @@ impl Repeatable {
 pub(crate) struct Task {
     hand: Arc<Hand>,
     job: Arc<HandJob>,
+    /// The plan's name.
+    plan_id: Arc<str>,
 }
 
 impl Task {
     /// The caller's name for it.
     pub(crate) fn id(&self) -> &str {
         &self.job.task_id
+    }
+
+    /// The hand.
+    pub(crate) fn hand(&self) -> &Arc<Hand> {
+        &self.hand
     }
 }
 
@@ -137,6 +158,8 @@ impl Engine {
             overrun: Arc::clone(&self.overrun),
             estimates: Arc::clone(&self.estimates),
             metrics: Arc::clone(&self.metrics),
+            calibration: self.calibration.clone(),
+            tracer: self.tracer.clone(),
             scene_queued: Arc::default(),
         })
     }
@@ -148,8 +171,36 @@ impl Engine {
     }
 
     /// A task with its hand.
-    pub(crate) fn task(&self, job: HandJob) -> Result<Task, ServiceError> {
-        Ok(Task { hand: self.registry.get(&job.hand_id)?.hand, job: Arc::new(job) })
+    pub(crate) fn task(&self, caller: &Caller, mut job: HandJob) -> Result<Task, ServiceError> {
+        if job.priority > caller.most_urgent {
+            let (asked, most_urgent) = (job.priority.name(), caller.most_urgent.name());
+            return Err(ServiceError::TooUrgent { asked, caller: caller.name.to_string(), most_urgent });
+        }
+        if let Some(calibration) = &self.calibration
+            && job.options.min_score > 0.0
+        {
+            // The caller speaks of the score that it gets to see.
+            job.options.min_score = calibration.score(job.options.min_score);
+        }
+        let hand = self.registry.get(&job.hand_id)?.hand;
+        Ok(Task { hand, job: Arc::new(job), plan_id: new_plan_id().into() })
+    }
+
+    /// An answer leaves: outcomes may be reported for it, and it says whether it is recorded.
+    pub(crate) fn leaves(&self, is_recorded: bool, answer: &mut Answer) {
+        if let (Some(recorder), Ok(response)) = (&self.recorder, answer) {
+            response.recorded = is_recorded;
+            recorder.remember(response);
+        }
+    }
+
+    /// The one answer of a call leaves.
+    pub(crate) fn leaves_alone(&self, record: Option<CallRecord>, task: &Task, answer: &mut Answer) {
+        self.leaves(record.is_some(), answer);
+        if let (Some(recorder), Some(mut record)) = (&self.recorder, record) {
+            record.push(task.id(), Some(task.hand()), answer);
+            recorder.finish(record);
+        }
     }
 
     /// Queues a call for one hand as one job. `on_better` gets each better answer, on a planning thread.
@@ -235,10 +286,27 @@ impl Engine {
         }
     }
 
+    /// Tasks in the order in which they are queued: the quickest first, so that none waits for a slow one that could
+    /// as well come after it. Those of which nothing is known go by how much they search.
+    pub(crate) fn quickest_first(&self, tasks: &mut [Task]) {
+        tasks.sort_by_cached_key(|task| {
+            let options = &task.job.options;
+            let iterations = options.scheme.iterations;
+            let takes = self.estimates.search(&task.hand.id, options.batch, iterations);
+            (takes, options.batch * iterations)
+        });
+    }
+
     /// Waits for a task's answer.
     pub(crate) async fn answer(&self, call: &Call, task: &Task, ticket: Ticket<Answer>) -> Answer {
         let budget = call.budget.within(task.job.budget);
-        match self.finish(&budget, ticket).await {
+        let done = self.finish(&budget, ticket).await;
+        match &done {
+            Ok(Ok(_)) => self.health.planned(&task.hand.id).await,
+            Err(PoolError::Panicked) => self.health.crashed(&task.hand.id).await,
+            _ => {}
+        }
+        match done {
             Ok(answer) => answer,
             Err(PoolError::Expired) => call.without_scene(call.late("in the queue"), task),
             Err(error) => Err(call.pool_error(&error)),
@@ -394,6 +462,14 @@ impl Call {
             .map_err(|error| self.scene_error(&error))?;
         self.estimates.observe_scene(self.scene_kind(), began.elapsed());
         self.metrics.stages(stages.iter().chain(&scene.stages));
+        let attributes = vec![("estimator", Value::Text(self.estimator.name().to_owned()))];
+        self.tracer.stages(Stages {
+            call: &self.clock.trace,
+            name: "read scene",
+            began,
+            stages: stages.iter().chain(&scene.stages),
+            attributes,
+        });
         Ok(ReadScene { scene, stages, invalid_pixels, _room: room })
     }
 
@@ -448,6 +524,21 @@ impl Call {
         // The scene's own stages come first and were counted when it was read.
         self.metrics.stages(plan.stats.stages.iter().skip(read.scene.stages.len()));
         self.metrics.queued(task.job.priority, turn.queued);
+        if let Some(queued_at) = began.checked_sub(turn.queued) {
+            self.tracer.span(&self.clock.trace, "wait", (queued_at, began), Vec::new());
+        }
+        self.tracer.stages(Stages {
+            call: &self.clock.trace,
+            name: "search grasps",
+            began,
+            stages: plan.stats.stages.iter().skip(read.scene.stages.len()),
+            attributes: vec![
+                ("hand", Value::Text(task.hand.id.clone())),
+                ("plan_id", Value::Text(task.plan_id.to_string())),
+                ("grasps", Value::Number(plan.grasps.len())),
+                ("iterations", Value::Number(plan.stats.iterations)),
+            ],
+        });
         let outcome = match plan.stats.stopped {
             Some(Stop::Cancelled) => PlanOutcome::Failed,
             _ if plan.grasps.is_empty() => PlanOutcome::NoGrasp,
@@ -491,6 +582,8 @@ impl Call {
             capture_time: self.scene.capture_time(),
             estimator: self.estimator.name(),
             seed: task.job.options.seed,
+            plan_id: &task.plan_id,
+            calibration: self.calibration.as_deref(),
             stages: &[],
             invalid_pixels: 0,
             queued: Duration::ZERO,

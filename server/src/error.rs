@@ -179,13 +179,35 @@ pub enum ServiceError {
     /// The id of the request was used for another one.
     #[error("request_id: found one that was used for another request, expected a new one for each request")]
     RequestIdReused,
+    /// There is no such plan, or not any more.
+    #[error("plan {id:?}: not found; it is not one of this server, or too old")]
+    UnknownPlan {
+        /// As given.
+        id: String,
+    },
+    /// Outcomes have no place to be kept.
+    #[error("this server keeps no recording, and so no outcomes; start it with --record DIR")]
+    NoRecording,
+    /// The recording could not be written.
+    #[error("the outcome could not be written to the recording; the server's log says why")]
+    NotRecorded,
     /// Nobody knows who calls.
     #[error("not authenticated: {problem}")]
     Unauthenticated {
         /// What is wrong.
         problem: &'static str,
     },
-    /// The caller may not call this method, or not with this priority.
+    /// The caller may not be so urgent.
+    #[error("priority {asked}: {caller} may ask for {most_urgent} at most")]
+    TooUrgent {
+        /// As asked for.
+        asked: &'static str,
+        /// The caller's name.
+        caller: String,
+        /// The most urgent that it may ask for.
+        most_urgent: &'static str,
+    },
+    /// The caller may not call this method.
     #[error("{what} asks for the role {needs}, and {caller} is {has}")]
     Forbidden {
         /// What was asked for.

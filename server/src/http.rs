@@ -2,7 +2,6 @@
 
 use std::convert::Infallible;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use hyper::body::Incoming;
@@ -21,7 +20,7 @@ const CONNECTIONS: usize = 32;
 const PATIENCE: (Duration, Duration) = (Duration::from_secs(5), Duration::from_secs(60));
 
 /// Answers until the task is aborted.
-pub(crate) async fn serve(listener: TcpListener, engine: Arc<Engine>, draining: Arc<AtomicBool>) {
+pub(crate) async fn serve(listener: TcpListener, engine: Arc<Engine>) {
     let places = Arc::new(Semaphore::new(CONNECTIONS));
     loop {
         let Ok(place) = Arc::clone(&places).acquire_owned().await else { return };
@@ -29,10 +28,10 @@ pub(crate) async fn serve(listener: TcpListener, engine: Arc<Engine>, draining: 
             tokio::time::sleep(Duration::from_millis(50)).await;
             continue;
         };
-        let (engine, draining) = (Arc::clone(&engine), Arc::clone(&draining));
+        let engine = Arc::clone(&engine);
         tokio::spawn(async move {
             let service = service_fn(move |request: Request<Incoming>| {
-                let response = answer(&request, &engine, &draining);
+                let response = answer(&request, &engine);
                 async move { Ok::<_, Infallible>(response) }
             });
             let connection = hyper::server::conn::http1::Builder::new()
@@ -46,8 +45,8 @@ pub(crate) async fn serve(listener: TcpListener, engine: Arc<Engine>, draining: 
     }
 }
 
-fn answer(request: &Request<Incoming>, engine: &Engine, draining: &AtomicBool) -> Response<Body> {
-    let ready = !draining.load(Ordering::Relaxed);
+fn answer(request: &Request<Incoming>, engine: &Engine) -> Response<Body> {
+    let ready = engine.health.is_ready();
     let (status, kind, text) = match (request.method(), request.uri().path()) {
         (&Method::GET, "/metrics") => {
             let text = engine.metrics.encode(&engine.pool, engine.scenes.read_count(), ready);
@@ -55,7 +54,9 @@ fn answer(request: &Request<Incoming>, engine: &Engine, draining: &AtomicBool) -
         }
         (&Method::GET, "/livez") => (StatusCode::OK, "text/plain", "alive\n".to_owned()),
         (&Method::GET, "/readyz") if ready => (StatusCode::OK, "text/plain", "ready\n".to_owned()),
-        (&Method::GET, "/readyz") => (StatusCode::SERVICE_UNAVAILABLE, "text/plain", "draining\n".to_owned()),
+        (&Method::GET, "/readyz") => {
+            (StatusCode::SERVICE_UNAVAILABLE, "text/plain", format!("{}\n", engine.health.why_not()))
+        }
         (&Method::GET, _) => {
             let text = "there are /metrics, /livez and /readyz\n".to_owned();
             (StatusCode::NOT_FOUND, "text/plain", text)

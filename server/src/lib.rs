@@ -4,6 +4,7 @@
 //! validate), the engine and its planning pool (CPU work never runs on the network runtime's threads), and
 //! `convert` again on the way out. Errors are typed and become gRPC status in [`status`] alone.
 
+pub mod calibration;
 pub mod decode;
 pub mod error;
 pub mod estimators;
@@ -18,13 +19,18 @@ mod convert;
 mod deadline;
 mod engine;
 mod estimates;
+mod health;
 mod http;
 mod metrics;
+mod random;
+mod recorder;
 mod scenes;
 mod serve;
 mod service;
+mod trace;
 
 pub use deadline::{CallBudget, CancelOnDrop};
 pub use estimators::Estimators;
+pub use recorder::RecordConfig;
 pub use registry::read_hand_dir;
 pub use serve::{LoadProbe, ServeError, Server, ServerConfig, shutdown_signal};

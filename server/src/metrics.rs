@@ -54,6 +54,11 @@ struct Plan {
     outcome: &'static str,
 }
 
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Outcome {
+    outcome: &'static str,
+}
+
 type Times<L> = Family<L, Histogram, fn() -> Histogram>;
 
 fn times() -> Histogram {
@@ -65,6 +70,15 @@ fn times() -> Histogram {
 pub(crate) enum PlanOutcome {
     Grasps,
     NoGrasp,
+    Failed,
+}
+
+/// What became of something that was to be recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum RecordOutcome {
+    Written,
+    /// There was no place for it.
+    Dropped,
     Failed,
 }
 
@@ -86,6 +100,8 @@ pub(crate) struct Metrics {
     scenes_read: Gauge,
     slowest_release_ms: Gauge,
     releases: Family<Within, Gauge>,
+    records: Family<Outcome, Counter>,
+    recording_bytes: Gauge,
     ready: Gauge,
 }
 
@@ -107,6 +123,8 @@ impl Default for Metrics {
             scenes_read: Gauge::default(),
             slowest_release_ms: Gauge::default(),
             releases: Family::default(),
+            records: Family::default(),
+            recording_bytes: Gauge::default(),
             ready: Gauge::default(),
         };
         let mut registry = Registry::with_prefix("graspd");
@@ -148,6 +166,12 @@ impl Default for Metrics {
             "Jobs that ran when their call was dropped, by the milliseconds that they ran on at most",
             metrics.releases.clone(),
         );
+        registry.register(
+            "records",
+            "Calls and outcomes that were to be recorded, by what became of that",
+            metrics.records.clone(),
+        );
+        registry.register("recording_bytes", "Disk space of the recording", metrics.recording_bytes.clone());
         registry.register("ready", "1 while calls are taken", metrics.ready.clone());
         Self { registry: Mutex::new(registry), ..metrics }
     }
@@ -195,6 +219,21 @@ impl Metrics {
         self.plans.get_or_create(&Plan { hand: hand.to_owned(), outcome }).inc();
     }
 
+    /// Something was to be recorded.
+    pub(crate) fn recorded(&self, outcome: RecordOutcome) {
+        let outcome = match outcome {
+            RecordOutcome::Written => "written",
+            RecordOutcome::Dropped => "dropped",
+            RecordOutcome::Failed => "failed",
+        };
+        self.records.get_or_create(&Outcome { outcome }).inc();
+    }
+
+    /// The recording takes so much.
+    pub(crate) fn recording_bytes(&self, bytes: u64) {
+        self.recording_bytes.set(i64::try_from(bytes).unwrap_or(i64::MAX));
+    }
+
     /// Everything as text, with what the pool does right now.
     pub(crate) fn encode(&self, pool: &Pool, scenes_read: u64, ready: bool) -> String {
         let as_gauge = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
@@ -221,10 +260,11 @@ impl Metrics {
 
 /// A method as a label: those that there are, and one name for all others, so that nobody makes labels.
 fn method(path: &str) -> &'static str {
-    const KNOWN: [&str; 7] = [
+    const KNOWN: [&str; 8] = [
         "/graspd.v1.PlannerService/PlanGrasps",
         "/graspd.v1.PlannerService/StreamGrasps",
         "/graspd.v1.PlannerService/PlanMultiHand",
+        "/graspd.v1.PlannerService/ReportOutcome",
         "/graspd.v1.HandService/ListHands",
         "/graspd.v1.HandService/GetHand",
         "/graspd.v1.HandService/CreateHand",

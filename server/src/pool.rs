@@ -159,7 +159,7 @@ impl Pool {
         });
         let shared = Arc::new(Shared {
             epoch: Instant::now(),
-            state: Mutex::new(State { scheduler, room_taken: 0, closed: false }),
+            state: Mutex::new(State { scheduler, room_taken: 0, running: Vec::new(), closed: false }),
             wake: Condvar::new(),
             slowest_release_us: Default::default(),
             releases: Default::default(),
@@ -314,6 +314,7 @@ impl Pool {
         let now = shared.now();
         // Dead jobs hold no places.
         let dead = state.take_dead(now);
+        state.forget_cancelled();
         let done = if continues {
             Ok((state.scheduler.continue_call(now, ask, payload), 0, None))
         } else {

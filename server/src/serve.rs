@@ -5,7 +5,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use graspd_proto::v1::hand_service_server::HandServiceServer;
@@ -14,16 +14,21 @@ use graspd_proto::v1::planner_service_server::PlannerServiceServer;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
-use tonic_health::ServingStatus;
-use tonic_health::server::HealthReporter;
+use tonic_health::pb::health_server::HealthServer;
+use tonic_health::server::HealthService;
 
+use crate::calibration::Calibration;
 use crate::engine::Engine;
 use crate::estimators::Estimators;
+use crate::health::Health;
+use crate::metrics::Metrics;
 use crate::pool::{Pool, PoolConfig, PoolError};
+use crate::recorder::{RecordConfig, Recorder};
 use crate::registry::{FolderError, Registry};
 use crate::scenes::Scenes;
 use crate::security::{Acceptor, Access, Limits, Quotas, Tls, TlsError, WrongAccess, accept};
 use crate::service::{CallLayer, Gatekeeper, HandApi, InfoApi, PlannerApi};
+use crate::trace::{Tracer, WrongCollector};
 
 /// HTTP/2 window of a stream: a whole depth frame, so that it is not throttled by round trips.
 const STREAM_WINDOW_BYTES: u32 = 8 << 20;
@@ -37,6 +42,8 @@ const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 /// After the grace period, running calls have this long to notice that they were cancelled.
 const ABORT_GRACE: Duration = Duration::from_millis(500);
+/// The recording has this long to write what was answered.
+const RECORD_GRACE: Duration = Duration::from_secs(10);
 
 /// How a server is set up.
 #[derive(Debug, Clone)]
@@ -61,6 +68,12 @@ pub struct ServerConfig {
     pub hands_dir: Option<PathBuf>,
     /// The contact estimators. Default: the geometric rule.
     pub estimators: Estimators,
+    /// Address of an OpenTelemetry collector (OTLP over gRPC), for example `http://127.0.0.1:4317`. Default none.
+    pub otlp: Option<String>,
+    /// What is recorded. Default: nothing.
+    pub record: Option<RecordConfig>,
+    /// What scores become on their way out. Default: they stay as the planner makes them.
+    pub calibration: Option<Calibration>,
     /// How long running calls may take to finish once the server is asked to end. Default 10 s.
     pub drain_grace: Duration,
 }
@@ -79,6 +92,9 @@ impl Default for ServerConfig {
             pool: PoolConfig::for_cores(cores),
             hands_dir: None,
             estimators: Estimators::default(),
+            otlp: None,
+            record: None,
+            calibration: None,
             drain_grace: Duration::from_secs(10),
         }
     }
@@ -124,6 +140,12 @@ pub enum ServeError {
     /// The folder of hands cannot be read.
     #[error("the folder of hands cannot be read")]
     Hands(#[from] FolderError),
+    /// The collector of traces has no address that can be used.
+    #[error(transparent)]
+    Collector(#[from] WrongCollector),
+    /// The recording cannot be kept.
+    #[error(transparent)]
+    Recording(#[from] graspd_recording::FolderError),
     /// The planning threads cannot be started.
     #[error(transparent)]
     Pool(#[from] PoolError),
@@ -206,6 +228,13 @@ impl Server {
         })
         .await
         .map_err(|e| ServeError::Loading(e.to_string()))??;
+        let metrics: Arc<Metrics> = Arc::default();
+        let record = config.record.clone().map(|record| (record, Arc::clone(&metrics)));
+        let recorder = tokio::task::spawn_blocking(move || {
+            record.map(|(record, metrics)| Recorder::start(&record, metrics)).transpose()
+        })
+        .await
+        .map_err(|e| ServeError::Loading(e.to_string()))??;
         let engine = Arc::new(Engine {
             pool: Pool::start(config.pool)?,
             registry,
@@ -213,10 +242,16 @@ impl Server {
             aborted: Arc::default(),
             overrun: Arc::default(),
             estimates: Arc::default(),
-            metrics: Arc::default(),
+            metrics,
             scenes: Scenes::default(),
             answers: Arc::default(),
+            recorder,
+            calibration: config.calibration.clone().map(Arc::new),
+            health: Health::default(),
+            tracer: Tracer::start(config.otlp.as_deref())?,
         });
+        // Nobody is answered before planning has worked once; where it does not, that is told from the beginning.
+        engine.warm_up().await;
         let fault = |source| ServeError::Bind { addr, source };
         let listener = TcpListener::bind(addr).await.map_err(fault)?;
         let local_addr = listener.local_addr().map_err(fault)?;
@@ -250,8 +285,20 @@ impl Server {
     /// # Errors
     /// [`ServeError`] when the transport fails.
     pub async fn serve_until(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
+        let engine = Arc::clone(&self.engine);
+        let ended = self.serve(shutdown).await;
+        engine.tracer.close().await;
+        // What was answered is written before the process ends.
+        let written = tokio::task::spawn_blocking(move || engine.recorder.as_ref().map(Recorder::close));
+        if tokio::time::timeout(RECORD_GRACE, written).await.is_err() {
+            tracing::error!("the recording is not written to its end");
+        }
+        ended
+    }
+
+    async fn serve(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
         let Self { listener, local_addr, engine, acceptor, http, config } = self;
-        let draining: Arc<AtomicBool> = Arc::default();
+        let draining = Arc::clone(engine.health.draining());
         let planner = PlannerServiceServer::new(PlannerApi { engine: Arc::clone(&engine) })
             .max_decoding_message_size(config.max_message_bytes);
         let hands = HandServiceServer::new(HandApi { engine: Arc::clone(&engine) })
@@ -260,8 +307,12 @@ impl Server {
             engine: Arc::clone(&engine),
             max_message_bytes: config.max_message_bytes,
         });
-        let (health, health_service) = tonic_health::server::health_reporter();
-        set_health(&health, ServingStatus::Serving).await;
+        engine.health.tell(engine.registry.ids()).await;
+        let health_service =
+            HealthServer::new(HealthService::from_health_reporter(engine.health.reporter().clone()));
+        let cold = (!engine.health.is_ready()).then(|| Arc::clone(&engine));
+        let warming = cold.map(|engine| tokio::spawn(async move { engine.warm_up_in_the_end().await }));
+        let _warming = AbortOnDrop(warming);
         let described = || {
             tonic_reflection::server::Builder::configure()
                 .register_encoded_file_descriptor_set(graspd_proto::FILE_DESCRIPTOR_SET)
@@ -274,10 +325,9 @@ impl Server {
             quotas: Arc::new(Quotas::new(config.limits)),
             receive: config.limits.receive,
             metrics: Arc::clone(&engine.metrics),
+            tracer: engine.tracer.clone(),
         });
-        let watched = http.map(|listener| {
-            tokio::spawn(crate::http::serve(listener, Arc::clone(&engine), Arc::clone(&draining)))
-        });
+        let watched = http.map(|listener| tokio::spawn(crate::http::serve(listener, Arc::clone(&engine))));
         let _watched = AbortOnDrop(watched);
         let router = tonic::transport::Server::builder()
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
@@ -309,8 +359,8 @@ impl Server {
             () = shutdown => {}
         }
         tracing::info!(grace_s = config.drain_grace.as_secs_f64(), "draining");
-        set_health(&health, ServingStatus::NotServing).await;
         draining.store(true, Ordering::Relaxed);
+        engine.health.tell(engine.registry.ids()).await;
         // The receiver lives in `serving`, which has not ended.
         stop.send(()).ok();
         if let Ok(ended) = tokio::time::timeout(config.drain_grace, &mut serving).await {
@@ -343,12 +393,6 @@ impl ServerConfig {
     fn access_required(&self) -> bool {
         let certificates = self.tls.as_ref().is_some_and(|tls| tls.client_roots.is_some());
         !self.access.tokens.is_empty() || certificates
-    }
-}
-
-async fn set_health(reporter: &HealthReporter, status: ServingStatus) {
-    for service in ["", "graspd.v1.PlannerService", "graspd.v1.HandService", "graspd.v1.InfoService"] {
-        reporter.set_service_status(service, status).await;
     }
 }
 

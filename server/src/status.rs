@@ -145,6 +145,11 @@ fn mapping(error: &ServiceError) -> Mapping {
         ServiceError::Forbidden { needs, has, .. } => {
             Mapping::new(Code::PermissionDenied, "FORBIDDEN").with("needs_role", needs).with("has_role", has)
         }
+        ServiceError::TooUrgent { asked, most_urgent, .. } => {
+            Mapping::new(Code::PermissionDenied, "PRIORITY_FORBIDDEN")
+                .with("asked", asked)
+                .with("most_urgent", most_urgent)
+        }
         ServiceError::Quota { what, limit } => {
             let mut mapping = Mapping::new(Code::ResourceExhausted, "QUOTA");
             mapping.details.add_quota_failure_violation(*what, format!("at most {limit} for one caller"));
@@ -155,6 +160,13 @@ fn mapping(error: &ServiceError) -> Mapping {
         }
         ServiceError::RequestIdReused => Mapping::new(Code::InvalidArgument, "REQUEST_ID_REUSED")
             .violation("request_id", "found one that was used for another request, expected a new one"),
+        ServiceError::UnknownPlan { id } => Mapping::new(Code::NotFound, "PLAN_NOT_FOUND").resource(
+            "graspd.v1.Plan",
+            &shortened(id),
+            "no plan of this name, or not any more",
+        ),
+        ServiceError::NoRecording => Mapping::new(Code::FailedPrecondition, "NO_RECORDING"),
+        ServiceError::NotRecorded => Mapping::new(Code::Unavailable, "NOT_RECORDED"),
         ServiceError::Deadline { elapsed, stage } => {
             Mapping::new(Code::DeadlineExceeded, "DEADLINE_EXCEEDED")
                 .with("elapsed_ms", elapsed.as_millis())
@@ -260,6 +272,11 @@ mod tests {
                 Code::PermissionDenied,
                 "FORBIDDEN",
             ),
+            (
+                ServiceError::TooUrgent { asked: "high", caller: text(), most_urgent: "low" },
+                Code::PermissionDenied,
+                "PRIORITY_FORBIDDEN",
+            ),
             (ServiceError::Quota { what: "calls", limit: 4 }, Code::ResourceExhausted, "QUOTA"),
             (
                 ServiceError::SlowRequest { limit: Duration::from_secs(1) },
@@ -267,6 +284,9 @@ mod tests {
                 "SLOW_REQUEST",
             ),
             (ServiceError::RequestIdReused, Code::InvalidArgument, "REQUEST_ID_REUSED"),
+            (ServiceError::UnknownPlan { id: text() }, Code::NotFound, "PLAN_NOT_FOUND"),
+            (ServiceError::NoRecording, Code::FailedPrecondition, "NO_RECORDING"),
+            (ServiceError::NotRecorded, Code::Unavailable, "NOT_RECORDED"),
             (ServiceError::Cancelled, Code::Cancelled, "CANCELLED"),
             (ServiceError::Draining, Code::Unavailable, "DRAINING"),
             (ServiceError::JobPanicked, Code::Internal, "JOB_PANICKED"),

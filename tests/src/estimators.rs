@@ -13,7 +13,8 @@ pub const PANICS: &str = "panics";
 pub const STALLS: &str = "stalls";
 
 /// Panics.
-pub(crate) struct Panics;
+#[derive(Debug, Clone, Copy)]
+pub struct Panics;
 
 impl ContactEstimator for Panics {
     fn name(&self) -> &str {

@@ -5,6 +5,6 @@ mod estimators;
 mod scene;
 mod server;
 
-pub use estimators::{PANICS, STALLS};
+pub use estimators::{PANICS, Panics, STALLS};
 pub use scene::{BOX_HALF_M, BoxScene, SCENE_FRAME};
 pub use server::TestServer;

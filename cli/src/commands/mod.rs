@@ -17,4 +17,6 @@ pub(crate) mod eval;
 pub(crate) mod hands;
 pub(crate) mod load;
 pub(crate) mod plan;
+pub(crate) mod recalibrate;
+pub(crate) mod replay;
 pub(crate) mod serve;

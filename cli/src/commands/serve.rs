@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
-use graspd_server::{Server, ServerConfig, shutdown_signal};
+use graspd_server::calibration::Calibration;
+use graspd_server::{RecordConfig, Server, ServerConfig, shutdown_signal};
 
 use crate::estimators::EstimatorArgs;
 
@@ -50,6 +51,21 @@ pub(crate) struct ServeArgs {
     hands_dir: Option<PathBuf>,
     #[command(flatten)]
     estimator: EstimatorArgs,
+    /// Folder to record calls and outcomes in, for viewers and graspd replay
+    #[arg(long, env = "GRASPD_RECORD", value_name = "DIR")]
+    record: Option<PathBuf>,
+    /// Share of calls that are recorded without asking for it, 0 to 1 [default: 1]
+    #[arg(long, env = "GRASPD_RECORD_SHARE", value_name = "SHARE", value_parser = super::args::parse_share)]
+    record_share: Option<f64>,
+    /// Disk space of the recording, for example 500MB or 2GiB; the oldest files go first [default: 2GiB]
+    #[arg(long, env = "GRASPD_RECORD_BUDGET", value_name = "SIZE", value_parser = parse_size)]
+    record_budget: Option<u64>,
+    /// Calibration of the score for this site, as graspd recalibrate writes it
+    #[arg(long, env = "GRASPD_CALIBRATION", value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// OpenTelemetry collector that gets traces (OTLP over gRPC), for example http://127.0.0.1:4317
+    #[arg(long, env = "GRASPD_OTLP", value_name = "URL")]
+    otlp: Option<String>,
     /// Seconds that running requests may take to finish at the end [default: 10]
     #[arg(long, env = "GRASPD_DRAIN_SECONDS", value_name = "SECONDS")]
     drain_seconds: Option<f64>,
@@ -90,8 +106,59 @@ impl ServeArgs {
         config.metrics_listen = self.metrics_listen.or(config.metrics_listen);
         config.hands_dir = self.hands_dir.clone().or(config.hands_dir);
         config.estimators = self.estimator.all()?;
+        config.otlp = self.otlp.clone().or(config.otlp);
+        if let Some(path) = &self.calibration {
+            config.calibration = Some(calibration(path).context("--calibration")?);
+        }
+        if let Some(folder) = &self.record {
+            let record = config.record.get_or_insert_with(|| record_in(PathBuf::new()));
+            record.folder.clone_from(folder);
+        }
+        match &mut config.record {
+            Some(record) => {
+                record.share = self.record_share.unwrap_or(record.share);
+                record.budget_bytes = self.record_budget.unwrap_or(record.budget_bytes);
+            }
+            None => anyhow::ensure!(
+                self.record_share.is_none() && self.record_budget.is_none(),
+                "--record-share, --record-budget: expected --record DIR with them"
+            ),
+        }
         Ok(config)
     }
+}
+
+/// A recording with the defaults.
+fn record_in(folder: PathBuf) -> RecordConfig {
+    RecordConfig { folder, share: 1.0, budget_bytes: 2 << 30 }
+}
+
+/// The calibration in a file.
+fn calibration(path: &std::path::Path) -> anyhow::Result<Calibration> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("{} cannot be read", path.display()))?;
+    Calibration::parse(&text).with_context(|| path.display().to_string())
+}
+
+/// A number of bytes with a unit, for example `500MB` or `2GiB`.
+fn parse_size(text: &str) -> Result<u64, String> {
+    let expected = || format!("found {text:?}, expected a size such as 500MB or 2GiB");
+    let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let unit: u64 = match unit.trim() {
+        "" | "B" => 1,
+        "kB" | "KB" => 1000,
+        "KiB" => 1 << 10,
+        "MB" => 1_000_000,
+        "MiB" => 1 << 20,
+        "GB" => 1_000_000_000,
+        "GiB" => 1 << 30,
+        "TB" => 1_000_000_000_000,
+        "TiB" => 1 << 40,
+        _ => return Err(expected()),
+    };
+    let bytes = number.parse::<f64>().map_err(|_| expected())? * unit as f64;
+    // Less than a petabyte, so that the number is exact.
+    if bytes < 1e15 { Ok(bytes as u64) } else { Err(expected()) }
 }
 
 /// Runs the service.
@@ -121,6 +188,25 @@ mod tests {
     struct Only {
         #[command(flatten)]
         serve: ServeArgs,
+    }
+
+    #[test]
+    fn a_recording_has_a_folder_a_share_and_a_size() {
+        let parse =
+            |flags: &str| Only::parse_from(["serve"].into_iter().chain(flags.split(' '))).serve.config();
+        let record =
+            parse("--record /tmp/r --record-share 0.1 --record-budget 1.5GiB").unwrap().record.unwrap();
+        let folder = PathBuf::from("/tmp/r");
+        assert_eq!(record, RecordConfig { folder, share: 0.1, budget_bytes: 3 << 29 });
+        assert!(parse("--queue 4").unwrap().record.is_none());
+        assert!(parse("--record-share 0.5").unwrap_err().to_string().contains("expected --record DIR"));
+        assert_eq!(
+            (parse_size("500MB"), parse_size("16 KiB"), parse_size("7")),
+            (Ok(500_000_000), Ok(16384), Ok(7))
+        );
+        for wrong in ["", "MB", "1.2.3MB", "2 parsec", "-1", "1e9", "9999999TB"] {
+            assert!(parse_size(wrong).is_err(), "{wrong}");
+        }
     }
 
     #[test]

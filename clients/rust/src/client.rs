@@ -5,6 +5,7 @@ use std::time::Duration;
 use graspd_proto::v1::hand_service_client::HandServiceClient;
 use graspd_proto::v1::planner_service_client::PlannerServiceClient;
 use graspd_proto::v1::{PlanGraspsRequest, PlanGraspsResponse, PlanMultiHandRequest, StreamGraspsRequest};
+use graspd_proto::v1::{ReportOutcomeRequest, ReportOutcomeResponse};
 use tonic::Request;
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
@@ -201,6 +202,21 @@ impl Client {
         })
         .await?;
         Ok(GraspStream::new(stream, deadline))
+    }
+
+    /// Says what became of a grasp. Safe to repeat, and repeated as plans are.
+    ///
+    /// # Errors
+    /// [`ClientError`]; `NO_RECORDING` where the server keeps none, `PLAN_NOT_FOUND` for a plan that it does not know.
+    pub async fn report_outcome(
+        &self,
+        report: &ReportOutcomeRequest,
+    ) -> Result<ReportOutcomeResponse, ClientError> {
+        retried(&self.retry, self.call_timeout, |left| {
+            let (mut planner, request) = (self.planner.clone(), self.timed(report.clone(), left));
+            async move { planner.report_outcome(request).await.map(tonic::Response::into_inner) }
+        })
+        .await
     }
 
     /// Plans grasps of several hands in one scene. Dropping the stream cancels.

@@ -60,8 +60,8 @@ impl Client {
         answer.hand.ok_or(ClientError::Protocol("an answer of GetHand without a hand"))
     }
 
-    /// Creates a hand from its files (path in the hand's folder → contents), or only checks them. Not
-    /// repeated.
+    /// Creates a hand from its files (path in the hand's folder → contents), or only checks them. Repeated as plans
+    /// are: the server knows a repetition by its name.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -71,7 +71,9 @@ impl Client {
         files: &BTreeMap<String, Vec<u8>>,
         validate_only: bool,
     ) -> Result<CreatedHand, ClientError> {
-        let header = CreateHandHeader { hand_id: hand_id.to_owned(), validate_only };
+        // The same name in every attempt: a repetition finds the hand that the attempt before has created.
+        let (hand_id, request_id) = (hand_id.to_owned(), unique_name());
+        let header = CreateHandHeader { hand_id, validate_only, request_id };
         let mut messages = vec![CreateHandRequest { part: Some(create_hand_request::Part::Header(header)) }];
         for (path, contents) in files {
             // An empty file is one empty piece.
@@ -81,8 +83,8 @@ impl Client {
                 messages.push(CreateHandRequest { part: Some(create_hand_request::Part::Chunk(chunk)) });
             }
         }
-        let answer = retried(&RetryPolicy::NONE, self.call_timeout, |left| {
-            let (mut hands, messages) = (self.hands.clone(), std::mem::take(&mut messages));
+        let answer = retried(&self.retry, self.call_timeout, |left| {
+            let (mut hands, messages) = (self.hands.clone(), messages.clone());
             let request = self.timed(tokio_stream::iter(messages), left);
             async move { hands.create_hand(request).await.map(tonic::Response::into_inner) }
         })
@@ -105,4 +107,12 @@ impl Client {
         })
         .await
     }
+}
+
+/// A name that no other request has: two hashes with keys that the system draws.
+fn unique_name() -> String {
+    use std::hash::{BuildHasher as _, RandomState};
+
+    let hash = |salt: u8| RandomState::new().hash_one((salt, std::process::id(), std::time::Instant::now()));
+    format!("{:016x}{:016x}", hash(0), hash(1))
 }

@@ -28,8 +28,8 @@ pub use frame::{depth_frame_f32, depth_frame_u16};
 /// Every message of the protocol, for what the names below leave out.
 pub use graspd_proto::v1 as wire;
 pub use graspd_proto::v1::{
-    CameraIntrinsics, DepthFrame, Grasp, Hand, HandTask, PlanGraspsRequest, PlanGraspsResponse,
-    PlanMultiHandRequest, PlanOptions, SceneOptions,
+    CameraIntrinsics, DepthFrame, Grasp, GraspOutcome, Hand, HandTask, PlanGraspsRequest, PlanGraspsResponse,
+    PlanMultiHandRequest, PlanOptions, ReportOutcomeRequest, SceneOptions,
 };
 pub use hands::CreatedHand;
 pub use retry::RetryPolicy;

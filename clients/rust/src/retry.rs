@@ -2,8 +2,8 @@
 //!
 //! Only what is safe and useful is repeated: `UNAVAILABLE` (the server is starting, draining or gone for a
 //! moment) after an exponential back-off with jitter, and `RESOURCE_EXHAUSTED` where the server itself says
-//! when to come back. Everything happens within the call's one deadline. Calls that change something
-//! (create and delete of hands) are never repeated.
+//! when to come back. Everything happens within the call's one deadline. A hand is created under a name of the request,
+//! so that a repetition is safe; deleting one is never repeated.
 
 use std::future::Future;
 use std::hash::{BuildHasher as _, RandomState};

@@ -13,6 +13,7 @@ use graspd_proto::v1;
 
 use super::geometry::{pose_message, vector_message};
 use super::{count_message, duration_message, hand_name};
+use crate::calibration::Calibration;
 
 /// What a plan does not know of itself and its answer needs.
 #[derive(Debug, Clone)]
@@ -29,6 +30,10 @@ pub(crate) struct PlanContext<'a> {
     pub(crate) estimator: &'a str,
     /// The seed.
     pub(crate) seed: u64,
+    /// The plan's name.
+    pub(crate) plan_id: &'a str,
+    /// What scores become.
+    pub(crate) calibration: Option<&'a Calibration>,
     /// Stages before those that the plan has timed: decode.
     pub(crate) stages: &'a [(&'static str, Duration)],
     /// Depth pixels that could not be distances.
@@ -52,6 +57,9 @@ pub(crate) fn plan_response(
         stats: Some(stats_message(&plan.stats, context)),
         trace: plan.trace.iter().map(objective_message).collect(),
         capture_time: context.capture_time,
+        plan_id: context.plan_id.to_owned(),
+        recorded: false,
+        calibration: context.calibration.map(calibration_message),
     }
 }
 
@@ -72,6 +80,9 @@ pub(crate) fn out_of_time_response(context: &PlanContext<'_>) -> v1::PlanGraspsR
         stats: Some(stats_message(&stats, context)),
         trace: Vec::new(),
         capture_time: context.capture_time,
+        plan_id: context.plan_id.to_owned(),
+        recorded: false,
+        calibration: context.calibration.map(calibration_message),
     }
 }
 
@@ -94,13 +105,23 @@ fn grasp_message(grasp: &Grasp, context: &PlanContext<'_>) -> v1::Grasp {
         actuators: Some(postures_message(actuator_names, &grasp.actuators)),
         contacts: grasp.contacts.iter().map(|c| contact_message(c, hand)).collect(),
         jaw_width_m: grasp.jaw_width_m,
-        score: grasp.score,
+        score: context.calibration.map_or(grasp.score, |c| c.share(grasp.score)),
         score_parts: Some(parts_message(&grasp.parts)),
         objective: Some(objective_message(&grasp.objective)),
         epsilon: grasp.epsilon,
         clearance_m: grasp.clearance_m,
         centroid: Some(vector_message(&grasp.centroid.coords)),
         label: grasp.label.map(i32::from),
+        uncalibrated_score: grasp.score,
+    }
+}
+
+fn calibration_message(calibration: &Calibration) -> v1::ScoreCalibration {
+    let seconds = calibration.created_unix_s;
+    v1::ScoreCalibration {
+        name: calibration.name.clone(),
+        outcome_count: i32::try_from(calibration.outcome_count).unwrap_or(i32::MAX),
+        create_time: Some(prost_types::Timestamp { seconds, nanos: 0 }),
     }
 }
 

@@ -15,7 +15,7 @@ pub(crate) use frame::EncodedFrame;
 pub(crate) use grasp::{PlanContext, out_of_time_response, plan_response};
 pub(crate) use hand::{hand_id, hand_message, hand_name};
 pub(crate) use hand_geometry::geometry_message;
-pub(crate) use request::{HandJob, Parsed, SceneRequest, multi_hand, plan_grasps};
+pub(crate) use request::{HandJob, Parsed, SceneRequest, multi_hand, plan_grasps, report_outcome};
 
 use std::fmt::Display;
 use std::time::Duration;

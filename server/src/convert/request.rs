@@ -7,7 +7,7 @@ use graspd_planner::options::{PlanOptions, SceneOptions, Target};
 use graspd_proto::v1;
 
 use super::options::{Asked, plan_options, scene_options};
-use super::{EncodedFrame, hand_id, join, quoted};
+use super::{EncodedFrame, hand_id, join, known_enum, quoted};
 use crate::decode::MAX_PIXELS;
 use crate::error::{FieldError, FieldReason};
 use crate::pool::Priority;
@@ -249,4 +249,25 @@ pub(crate) fn multi_hand(wire: v1::PlanMultiHandRequest) -> Result<Parsed<Vec<Ha
     }
     let request_id = request_id(wire.request_id, "")?;
     Ok(Parsed { scene, jobs, request_id })
+}
+
+/// Longest note of an outcome, bytes.
+const LONGEST_NOTE: usize = 1024;
+
+/// A report of an outcome, checked as far as it can be without its plan.
+pub(crate) fn report_outcome(wire: v1::ReportOutcomeRequest) -> Result<v1::ReportOutcomeRequest, FieldError> {
+    if wire.plan_id.is_empty() {
+        return Err(FieldError::missing("plan_id", "PlanGraspsResponse.plan_id"));
+    }
+    match known_enum(wire.outcome, "outcome")? {
+        v1::GraspOutcome::Unspecified => {
+            return Err(FieldError::missing("outcome", "what became of the grasp"));
+        }
+        _ if wire.note.len() > LONGEST_NOTE => {
+            let found = format!("{} bytes", wire.note.len());
+            return Err(FieldError::value("note", found, format!("at most {LONGEST_NOTE} bytes")));
+        }
+        _ => {}
+    }
+    Ok(wire)
 }

@@ -62,6 +62,10 @@ fn engine(scene_room: usize) -> Arc<Engine> {
         scenes: Scenes::default(),
         metrics: Arc::default(),
         answers: Arc::default(),
+        recorder: None,
+        calibration: None,
+        health: Health::default(),
+        tracer: Tracer::default(),
     })
 }
 
@@ -83,7 +87,8 @@ impl Census {
 /// A call for several hands as the service makes it; how many hands were answered.
 async fn call(engine: &Engine, census: &Census, wire: v1::PlanMultiHandRequest) -> usize {
     let Parsed { scene, jobs, .. } = convert::multi_hand(wire).unwrap();
-    let tasks: Vec<Task> = jobs.into_iter().map(|job| engine.task(job).unwrap()).collect();
+    let tasks: Vec<Task> =
+        jobs.into_iter().map(|job| engine.task(&Caller::named("test"), job).unwrap()).collect();
     let call = engine.call(now(), &Caller::named("test"), scene).unwrap();
     let ticket = engine.submit_scene(&call, &tasks).unwrap();
     let read = engine.scene(&call, ticket).await.unwrap();
@@ -101,7 +106,7 @@ async fn call(engine: &Engine, census: &Census, wire: v1::PlanMultiHandRequest) 
 }
 
 fn now() -> CallClock {
-    CallClock { arrived: Instant::now(), timeout: None }
+    CallClock { arrived: Instant::now(), timeout: None, trace: Default::default() }
 }
 
 /// Sends `calls` at once, each with a scene of its own; the most scenes that lived at the same time.
@@ -136,7 +141,8 @@ async fn a_scene_that_is_held_keeps_its_room() {
     let mut calls = Vec::new();
     for i in 0..3 {
         let Parsed { scene, jobs, .. } = convert::multi_hand(request(1, 48, 80 + i)).unwrap();
-        let tasks: Vec<Task> = jobs.into_iter().map(|job| engine.task(job).unwrap()).collect();
+        let tasks: Vec<Task> =
+            jobs.into_iter().map(|job| engine.task(&Caller::named("test"), job).unwrap()).collect();
         let call = engine.call(now(), &Caller::named("test"), scene).unwrap();
         let ticket = engine.submit_scene(&call, &tasks).unwrap();
         calls.push((call, ticket));
@@ -188,7 +194,7 @@ fn what_the_planner_refuses_names_its_own_field() {
 /// A call that is ready to be submitted.
 fn ready(engine: &Engine, wire: v1::PlanMultiHandRequest) -> (Call, Vec<Task>) {
     let Parsed { scene, jobs, .. } = convert::multi_hand(wire).unwrap();
-    let tasks = jobs.into_iter().map(|job| engine.task(job).unwrap()).collect();
+    let tasks = jobs.into_iter().map(|job| engine.task(&Caller::named("test"), job).unwrap()).collect();
     (engine.call(now(), &Caller::named("test"), scene).unwrap(), tasks)
 }
 
@@ -237,9 +243,13 @@ async fn the_deadline_picks_the_scheme_unless_the_caller_does() {
         let mut wire = request(1, 48, 100);
         wire.tasks[0].options = Some(v1::PlanOptions { batch_size: 4, scheme, ..Default::default() });
         let Parsed { scene, jobs, .. } = convert::multi_hand(wire).unwrap();
-        let clock = CallClock { arrived: Instant::now(), timeout: timeout_ms.map(Duration::from_millis) };
+        let clock = CallClock {
+            arrived: Instant::now(),
+            timeout: timeout_ms.map(Duration::from_millis),
+            trace: Default::default(),
+        };
         let call = engine.call(clock, &Caller::named("test"), scene).unwrap();
-        let task = engine.task(jobs.into_iter().next().unwrap()).unwrap();
+        let task = engine.task(&Caller::named("test"), jobs.into_iter().next().unwrap()).unwrap();
         let ticket = engine.submit_single(&call, &task, None).unwrap();
         engine.answer(&call, &task, ticket).await.unwrap().stats.unwrap().iteration_count
     };

@@ -38,6 +38,8 @@ pub(super) struct State {
     pub(super) scheduler: Scheduler<Job>,
     /// Room that scenes take.
     pub(super) room_taken: usize,
+    /// Budgets of the jobs that run.
+    pub(super) running: Vec<(JobId, CallBudget)>,
     pub(super) closed: bool,
 }
 
@@ -51,6 +53,16 @@ impl State {
             .collect();
         dead.extend(cancelled.into_iter().filter_map(|id| self.scheduler.withdraw(id)));
         dead
+    }
+
+    /// Tells the scheduler which running jobs have nobody any more who waits for them: they end in a moment, and no
+    /// newcomer is refused for what they would have taken.
+    pub(super) fn forget_cancelled(&mut self) {
+        for (id, budget) in &self.running {
+            if budget.is_cancelled() {
+                self.scheduler.stops(*id);
+            }
+        }
     }
 
     /// Takes the first job that can begin, and the room for its scene. Where one has to wait for room, no
@@ -77,6 +89,7 @@ impl State {
             }
         })?;
         self.room_taken += room;
+        self.running.push((begun.id, begun.payload.budget.clone()));
         Some((begun.id, begun.payload, room))
     }
 }
@@ -149,6 +162,7 @@ pub(super) fn run_slot(shared: &Arc<Shared>, rayon: &rayon::ThreadPool, room_lim
             }
             state = shared.lock();
             state.scheduler.end(shared.now(), id);
+            state.running.retain(|(running, _)| *running != id);
             drop(state);
             shared.wake.notify_all();
             tell();

@@ -350,3 +350,24 @@ async fn every_job_ends_once_under_a_storm_of_callers() {
     }
     assert_eq!((pool.waiting(), pool.running()), (0, 0));
 }
+
+#[tokio::test]
+async fn nobody_is_refused_for_the_rest_of_a_job_that_was_cancelled() {
+    let pool = pool(1, 8);
+    let minute = 60 * SECOND;
+    let long = Order { estimate: Estimate { least: minute, expected: minute }, ..order() };
+    let short = Order { estimate: Estimate { least: SECOND, expected: SECOND }, ..order() };
+    let cancelled = endless();
+    // A job that takes its time to notice.
+    let (release, wait) = mpsc::channel::<()>();
+    let _runs = pool.submit(&cancelled, &long, None, move |_| wait.recv().ok()).unwrap();
+    while pool.running() == 0 {
+        std::thread::yield_now();
+    }
+    let refused = pool.submit(&budget_ms(10_000), &short, None, |_| ()).unwrap_err();
+    assert!(matches!(refused, PoolError::CannotFinish { .. }), "{refused}");
+    cancelled.cancel();
+    let mut admitted = pool.submit(&budget_ms(10_000), &short, None, |_| ()).unwrap();
+    drop(release);
+    admitted.wait().await.unwrap();
+}

@@ -18,6 +18,7 @@ use graspd_hands::Hand;
 
 use crate::convert::hand_name;
 use crate::error::ServiceError;
+use crate::pool::Flow;
 
 /// At most this many hands are kept besides those that come with the server.
 const MOST_CREATED: usize = 256;
@@ -42,6 +43,8 @@ pub struct Entry {
     pub origin: Origin,
     /// When it was created; `None` for hands that come with the server.
     pub created: Option<SystemTime>,
+    /// Who created it, and by which request, where that had a name.
+    pub(crate) upload: Option<(Flow, String)>,
 }
 
 /// The hands of a server. Reading never waits for parsing: a hand enters when it is complete.
@@ -54,7 +57,9 @@ impl Registry {
     /// The hands that are compiled in.
     pub fn with_library() -> Self {
         let hands = source::library()
-            .map(|hand| (hand.id.clone(), Entry { hand, origin: Origin::Library, created: None }))
+            .map(|hand| {
+                (hand.id.clone(), Entry { hand, origin: Origin::Library, created: None, upload: None })
+            })
             .collect();
         Self { hands: RwLock::new(hands) }
     }
@@ -73,7 +78,8 @@ impl Registry {
             if hands.contains_key(&id) {
                 return Err(FolderError::Taken { path: path.join(&id), id });
             }
-            hands.insert(id, Entry { hand: Arc::new(hand), origin: Origin::Folder, created: None });
+            let hand = Arc::new(hand);
+            hands.insert(id, Entry { hand, origin: Origin::Folder, created: None, upload: None });
         }
         Ok(count)
     }
@@ -95,6 +101,11 @@ impl Registry {
         (page, rest.next().is_some())
     }
 
+    /// The ids of all hands, in order.
+    pub(crate) fn ids(&self) -> Vec<String> {
+        self.read().keys().cloned().collect()
+    }
+
     /// Says whether a hand of that id could be created.
     ///
     /// # Errors
@@ -108,10 +119,30 @@ impl Registry {
     /// # Errors
     /// [`ServiceError::HandExists`], or [`ServiceError::TooManyHands`].
     pub fn create(&self, hand: Hand) -> Result<Entry, ServiceError> {
+        self.create_by(hand, None)
+    }
+
+    /// Adds a hand, or finds it where the same upload has created it: whose it is, and its name.
+    ///
+    /// # Errors
+    /// As [`Registry::create`]; [`ServiceError::RequestIdReused`] for other files under that name.
+    pub(crate) fn create_by(
+        &self,
+        hand: Hand,
+        upload: Option<(Flow, String)>,
+    ) -> Result<Entry, ServiceError> {
         let mut hands = self.write();
+        if let Some(entry) = hands.get(&hand.id)
+            && upload.is_some()
+            && entry.upload == upload
+        {
+            let same = entry.hand.revision == hand.revision;
+            return if same { Ok(entry.clone()) } else { Err(ServiceError::RequestIdReused) };
+        }
         check_room(&hands, &hand.id)?;
         let id = hand.id.clone();
-        let entry = Entry { hand: Arc::new(hand), origin: Origin::Created, created: Some(SystemTime::now()) };
+        let created = Some(SystemTime::now());
+        let entry = Entry { hand: Arc::new(hand), origin: Origin::Created, created, upload };
         hands.insert(id, entry.clone());
         Ok(entry)
     }

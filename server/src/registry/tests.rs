@@ -91,7 +91,8 @@ fn there_is_an_end_to_created_hands() {
 }
 
 fn header(hand_id: &str) -> Option<v1::CreateHandRequest> {
-    let header = v1::CreateHandHeader { hand_id: hand_id.to_owned(), validate_only: false };
+    let header =
+        v1::CreateHandHeader { hand_id: hand_id.to_owned(), validate_only: false, ..Default::default() };
     Some(v1::CreateHandRequest { part: Some(Part::Header(header)) })
 }
 

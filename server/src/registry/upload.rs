@@ -11,6 +11,8 @@ use crate::error::{FieldError, ServiceError};
 const MOST_FILES: usize = 64;
 /// At most this many bytes in all files together.
 const MOST_BYTES: usize = 32 << 20;
+/// Longest name of an upload, bytes.
+const LONGEST_REQUEST_ID: usize = 128;
 /// Longest path, bytes.
 const LONGEST_PATH: usize = 200;
 
@@ -21,6 +23,8 @@ pub(crate) struct Upload {
     pub(crate) hand_id: String,
     /// Check everything and add nothing.
     pub(crate) validate_only: bool,
+    /// The caller's name for the upload; may be empty.
+    pub(crate) request_id: String,
     /// What has arrived.
     pub(crate) files: HandFiles,
     byte_count: usize,
@@ -40,9 +44,18 @@ impl Upload {
             )
             .into());
         }
+        if header.request_id.len() > LONGEST_REQUEST_ID {
+            return Err(FieldError::value(
+                "header.request_id",
+                quoted(&header.request_id),
+                format!("at most {LONGEST_REQUEST_ID} bytes"),
+            )
+            .into());
+        }
         Ok(Self {
             hand_id: header.hand_id,
             validate_only: header.validate_only,
+            request_id: header.request_id,
             files: HandFiles::default(),
             byte_count: 0,
         })

@@ -3,6 +3,7 @@
 //! Tokens are kept as SHA-256 only and compared in constant time with all there are. Certificates are known by the
 //! SHA-256 of their DER bytes; one that the certificate authority vouches for and nobody has listed is a viewer.
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
 use ring::digest::{SHA256, digest};
@@ -10,6 +11,7 @@ use subtle::{Choice, ConditionallySelectable as _, ConstantTimeEq as _};
 
 use crate::caller::Caller;
 use crate::error::ServiceError;
+use crate::pool::Priority;
 
 /// What a caller may do; each may do what those before it may.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -80,6 +82,8 @@ pub struct Access {
     pub tokens: Vec<Token>,
     /// Certificates that are more than viewers.
     pub certificates: Vec<Certificate>,
+    /// The most urgent priority that callers of these names may ask for; who is not here may ask for any.
+    pub most_urgent: BTreeMap<String, Priority>,
 }
 
 /// Why an access list is not one.
@@ -103,6 +107,13 @@ impl Access {
         let tokens = self.tokens.iter().map(|t| ("token", &t.name, &t.sha256));
         let entries = tokens.chain(self.certificates.iter().map(|c| ("certificate", &c.name, &c.sha256)));
         let mut names = std::collections::BTreeSet::new();
+        for name in self.most_urgent.keys() {
+            let named = self.tokens.iter().any(|t| t.name == *name);
+            if !named && !self.certificates.iter().any(|c| c.name == *name) {
+                let (field, found) = ("most_urgent".to_owned(), format!("{name:?}"));
+                return Err(WrongAccess { field, found, expected: "the name of a token or a certificate" });
+            }
+        }
         let empty = digest(&SHA256, b"");
         for (i, (kind, name, sha256)) in entries.enumerate() {
             let field = |key: &str| format!("access entry {} ({kind} {name:?}): {key}", i + 1);
@@ -157,7 +168,7 @@ impl Access {
             let token =
                 token.ok_or(ServiceError::Unauthenticated { problem: "expected \"Bearer TOKEN\"" })?;
             if let Some(token) = self.token(token) {
-                return Ok(Identity { caller: Caller::named(&token.name), role: token.role });
+                return Ok(Identity { caller: self.caller(&token.name), role: token.role });
             }
             if required {
                 return Err(ServiceError::Unauthenticated { problem: "the token is not known here" });
@@ -166,7 +177,7 @@ impl Access {
         if let Some(sha256) = credentials.certificate {
             let listed = self.certificates.iter().find(|c| c.sha256 == sha256);
             return Ok(match listed {
-                Some(c) => Identity { caller: Caller::named(&c.name), role: c.role },
+                Some(c) => Identity { caller: self.caller(&c.name), role: c.role },
                 None => {
                     let head: String = sha256.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
                     Identity { caller: Caller::named(&format!("certificate-{head}")), role: Role::Viewer }
@@ -179,6 +190,11 @@ impl Access {
             });
         }
         Ok(Identity { caller: Caller::anonymous(credentials.peer), role: Role::Operator })
+    }
+
+    fn caller(&self, name: &str) -> Caller {
+        let most_urgent = self.most_urgent.get(name).copied().unwrap_or(Priority::Servo);
+        Caller { most_urgent, ..Caller::named(name) }
     }
 
     /// The token with this text. Looks at all of them, so that time tells nothing.
@@ -213,6 +229,7 @@ mod tests {
                 sha256: [7; 32],
                 role: Role::Controller,
             }],
+            most_urgent: BTreeMap::from([("arm".to_owned(), Priority::Normal)]),
         }
     }
 
@@ -241,6 +258,12 @@ mod tests {
         assert_eq!(identify(None, Some([9; 32]), true), who("certificate-0909090909090909", Role::Viewer));
         assert_eq!(identify(None, None, true), None);
         assert_eq!(identify(None, None, false), who("127.0.0.1", Role::Operator));
+        let urgent = |text: &[u8]| {
+            let credentials = Credentials { peer: None, certificate: None, authorization: Some(text) };
+            access().identify(&credentials, true).unwrap().caller.most_urgent
+        };
+        assert_eq!(urgent(b"Bearer secret-1"), Priority::Normal);
+        assert_eq!(urgent(b"Bearer secret-2"), Priority::Servo);
     }
 
     #[test]
@@ -273,6 +296,9 @@ mod tests {
             access.check().unwrap_err().to_string()
         };
         assert!(with("arm", [1; 32]).contains("token \"arm\""));
+        let mut nobody = access();
+        nobody.most_urgent.insert("nobody".to_owned(), Priority::Low);
+        assert!(nobody.check().unwrap_err().to_string().contains("\"nobody\""));
         assert!(with("", [1; 32]).contains("1 to 64"));
         assert!(with("127.0.0.1", [1; 32]).contains("no address"));
         assert!(with("new", hash(b"")).contains("not empty"));

@@ -81,7 +81,11 @@ impl HandService for HandApi {
         let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
         let mut messages = request.into_inner();
         let mut upload = Upload::begin(messages.message().await.map_err(translated)?)?;
-        self.engine.registry.check_free(&upload.hand_id)?;
+        let repeatable =
+            Some((caller.identity(), upload.request_id.clone())).filter(|(_, id)| !id.is_empty());
+        if repeatable.is_none() {
+            self.engine.registry.check_free(&upload.hand_id)?;
+        }
         while let Some(message) = messages.message().await.map_err(translated)? {
             upload.push(message)?;
         }
@@ -102,7 +106,8 @@ impl HandService for HandApi {
         let hand = if validate_only {
             hand_message(&loaded.hand, Origin::Created, None)
         } else {
-            let entry = self.engine.registry.create(loaded.hand)?;
+            let entry = self.engine.registry.create_by(loaded.hand, repeatable)?;
+            self.engine.health.hand_created(&entry.hand.id).await;
             tracing::info!(hand = entry.hand.id, revision = entry.hand.revision, "hand created");
             message(&entry)
         };
@@ -116,6 +121,7 @@ impl HandService for HandApi {
     ) -> Result<Response<v1::DeleteHandResponse>, Status> {
         let id = hand_id(&request.into_inner().name, "name").map_err(ServiceError::from)?;
         self.engine.registry.delete(&id)?;
+        self.engine.health.hand_deleted(&id).await;
         tracing::info!(hand = id, "hand deleted");
         Ok(Response::new(v1::DeleteHandResponse {}))
     }

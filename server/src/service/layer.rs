@@ -24,6 +24,7 @@ use crate::security::{
     Access, Credentials, Ending, GuardedBody, Identity, PeerInfo, Quotas, ReceivedBody, Role, Use,
 };
 use crate::status;
+use crate::trace::Tracer;
 
 /// Our own services start with this.
 const OWN_PATHS: &str = "/graspd.";
@@ -44,11 +45,13 @@ pub(crate) struct Gatekeeper {
     /// Time for a request to arrive.
     pub(crate) receive: Duration,
     pub(crate) metrics: Arc<Metrics>,
+    pub(crate) tracer: Tracer,
 }
 
-/// A call in the metrics, from its headers to the end of its answer.
+/// A call in the metrics and in its trace, from its headers to the end of its answer.
 struct Counted {
     metrics: Arc<Metrics>,
+    tracer: Tracer,
     path: String,
     clock: CallClock,
     /// Nothing said yet means that the caller is gone.
@@ -58,10 +61,10 @@ struct Counted {
 }
 
 impl Counted {
-    fn begin(metrics: &Arc<Metrics>, path: &str, clock: CallClock) -> Self {
-        metrics.begin();
-        let metrics = Arc::clone(metrics);
-        Self { metrics, path: path.to_owned(), clock, code: Code::Cancelled, used_quota: None }
+    fn begin(gatekeeper: &Gatekeeper, path: &str, clock: CallClock) -> Self {
+        gatekeeper.metrics.begin();
+        let (metrics, tracer) = (Arc::clone(&gatekeeper.metrics), gatekeeper.tracer.clone());
+        Self { metrics, tracer, path: path.to_owned(), clock, code: Code::Cancelled, used_quota: None }
     }
 
     /// What the headers of the answer say, where they say something.
@@ -86,6 +89,7 @@ impl Ending for Counted {
 impl Drop for Counted {
     fn drop(&mut self) {
         self.metrics.end(&self.path, self.code, self.clock.elapsed());
+        self.tracer.call(&self.clock.trace, &self.path, self.clock.arrived, self.code);
     }
 }
 
@@ -155,8 +159,13 @@ where
             return Box::pin(async move { Ok(in_our_words(answer.await?, &path)) });
         }
         let clock = CallClock::start(request.headers());
-        let span = tracing::info_span!("call", method = %path);
-        let mut counted = Counted::begin(&self.gatekeeper.metrics, &path, clock);
+        let span = tracing::info_span!(
+            "call",
+            method = %path,
+            trace_id = %clock.trace.id_text(),
+            request_id = tracing::field::Empty
+        );
+        let mut counted = Counted::begin(&self.gatekeeper, &path, clock);
         let mut refuse = |error: ServiceError| -> Self::Future {
             let refused = Status::from(error).into_http();
             span.in_scope(|| log(&refused, &clock));

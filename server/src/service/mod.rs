@@ -16,10 +16,15 @@ use tonic::Extensions;
 
 use crate::caller::Caller;
 use crate::deadline::CallClock;
+use crate::trace::TraceContext;
 
 /// The clock that the layer put into the request.
 fn clock(extensions: &Extensions) -> CallClock {
-    extensions.get::<CallClock>().copied().unwrap_or(CallClock { arrived: Instant::now(), timeout: None })
+    extensions.get::<CallClock>().copied().unwrap_or(CallClock {
+        arrived: Instant::now(),
+        timeout: None,
+        trace: TraceContext::default(),
+    })
 }
 
 /// Who calls, as the layer found out.

@@ -5,6 +5,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use graspd_proto::v1;
+use graspd_proto::v1::plan_record::Request as Recorded;
 use graspd_proto::v1::planner_service_server::PlannerService;
 use graspd_proto::v1::{plan_multi_hand_response, stream_grasps_response};
 use tokio::sync::{mpsc, watch};
@@ -17,10 +18,11 @@ use super::{caller, clock};
 use crate::answers::{Joined, Leader, RequestKey};
 use crate::caller::Caller;
 use crate::convert::{self, Parsed, count_message, duration_message};
-use crate::deadline::CancelOnDrop;
+use crate::deadline::{CallClock, CancelOnDrop};
 use crate::engine::{Answer, Call, Engine, OnBetter, Repeatable, Task};
 use crate::error::{FieldError, ServiceError};
 use crate::pool::Ticket;
+use crate::recorder::CallRecord;
 use crate::status;
 
 /// The planning service.
@@ -43,16 +45,20 @@ impl PlannerService for PlannerApi {
     ) -> Result<Response<v1::PlanGraspsResponse>, Status> {
         let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
         let request = request.into_inner();
+        name_in_log(&request.request_id);
         let asked = asked(&request.request_id, &request);
+        let record = self.record(request.record, &clock, || Recorded::PlanGrasps(request.clone()));
         let Parsed { scene, jobs, request_id } =
             convert::plan_grasps(request, "").map_err(ServiceError::from)?;
-        let task = self.engine.task(jobs)?;
+        let task = self.engine.task(&caller, jobs)?;
         let call = self.engine.call(clock, &caller, scene)?;
         let _cancel = call.budget.cancel_on_drop();
         let repeatable = repeatable(request_id, &caller, asked);
         let plan = async || {
             let ticket = self.engine.submit_single(&call, &task, None)?;
-            self.engine.answer(&call, &task, ticket).await
+            let mut answer = self.engine.answer(&call, &task, ticket).await;
+            self.engine.leaves_alone(record, &task, &mut answer);
+            answer
         };
         Ok(Response::new(self.engine.once(repeatable.as_ref(), plan).await?))
     }
@@ -66,10 +72,12 @@ impl PlannerService for PlannerApi {
             .into_inner()
             .plan
             .ok_or_else(|| ServiceError::from(FieldError::missing("plan", "a request")))?;
+        name_in_log(&plan.request_id);
         let asked = asked(&plan.request_id, &plan);
+        let record = self.record(plan.record, &clock, || Recorded::PlanGrasps(plan.clone()));
         let Parsed { scene, jobs, request_id } =
             convert::plan_grasps(plan, "plan").map_err(ServiceError::from)?;
-        let task = self.engine.task(jobs)?;
+        let task = self.engine.task(&caller, jobs)?;
         let call = self.engine.call(clock, &caller, scene)?;
         let cancel = call.budget.cancel_on_drop();
         let repeatable = repeatable(request_id, &caller, asked);
@@ -79,8 +87,8 @@ impl PlannerService for PlannerApi {
             Some(Joined::Lead(leader)) => Some(leader),
             Some(Joined::Reused) => return Err(ServiceError::RequestIdReused.into()),
             Some(Joined::Follow(_) | Joined::Answered(_)) => {
-                let stream =
-                    GraspStream { engine: Arc::clone(&self.engine), call, task, sender, _cancel: cancel };
+                let engine = Arc::clone(&self.engine);
+                let stream = GraspStream { engine, call, task, record, sender, _cancel: cancel };
                 tokio::spawn(stream.repeat(repeatable));
                 return Ok(Response::new(Box::pin(ReceiverStream::new(receiver))));
             }
@@ -91,7 +99,8 @@ impl PlannerService for PlannerApi {
             better.send(Some(response)).ok();
         });
         let ticket = self.engine.submit_single(&call, &task, Some(on_better))?;
-        let stream = GraspStream { engine: Arc::clone(&self.engine), call, task, sender, _cancel: cancel };
+        let engine = Arc::clone(&self.engine);
+        let stream = GraspStream { engine, call, task, record, sender, _cancel: cancel };
         tokio::spawn(stream.run(ticket, improved, leader));
         Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
     }
@@ -102,9 +111,13 @@ impl PlannerService for PlannerApi {
     ) -> Result<Response<Self::PlanMultiHandStream>, Status> {
         let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
         let request = request.into_inner();
+        name_in_log(&request.request_id);
         let asked = asked(&request.request_id, &request);
+        let mut record = self.record(request.record, &clock, || Recorded::PlanMultiHand(request.clone()));
+        let is_recorded = record.is_some();
         let Parsed { scene, jobs, request_id } = convert::multi_hand(request).map_err(ServiceError::from)?;
-        let tasks = jobs.into_iter().map(|job| self.engine.task(job)).collect::<Result<Vec<_>, _>>()?;
+        let mut tasks =
+            jobs.into_iter().map(|job| self.engine.task(&caller, job)).collect::<Result<Vec<_>, _>>()?;
         let call = self.engine.call(clock, &caller, scene)?;
         let cancel = call.budget.cancel_on_drop();
         let repeatable = repeatable(request_id, &caller, asked);
@@ -120,34 +133,75 @@ impl PlannerService for PlannerApi {
         tokio::spawn(async move {
             let _cancel = cancel;
             let mut answers = JoinSet::new();
+            engine.quickest_first(&mut tasks);
             for task in tasks {
                 let (engine, call, read) = (Arc::clone(&engine), call.clone(), read.clone());
+                // Queued here, in this order; what may have an answer already is only queued if it has none.
+                let queued = match (&repeatable, &read) {
+                    (None, Ok(read)) => Some(engine.submit_hand(&call, read, &task)),
+                    _ => None,
+                };
                 let repeatable = repeatable.as_ref().map(|r| r.task(&task));
                 answers.spawn(async move {
                     let plan = async || {
                         // From here on the scene lives as long as the jobs that need it.
-                        let ticket = match read {
-                            Ok(read) => engine.submit_hand(&call, &read, &task)?,
-                            Err(late) => return call.without_scene(late, &task),
+                        let ticket = match (queued, read) {
+                            (Some(queued), _) => queued?,
+                            (None, Ok(read)) => engine.submit_hand(&call, &read, &task)?,
+                            (None, Err(late)) => return call.without_scene(late, &task),
                         };
-                        engine.answer(&call, &task, ticket).await
+                        let mut answer = engine.answer(&call, &task, ticket).await;
+                        engine.leaves(is_recorded, &mut answer);
+                        answer
                     };
                     let answer = engine.once(repeatable.as_ref(), plan).await;
-                    (task.id().to_owned(), answer)
+                    (task, answer)
                 });
             }
             drop(read);
             tokio::select! {
                 biased;
                 () = sender.closed() => {}
-                () = send_results(&call, answers, &sender) => {}
+                () = send_results(&call, answers, &sender, &mut record) => {}
                 () = call.answer_due() => {
                     // What has been answered is on its way; the rest was not done in time.
                     sender.send(Err(call.late("with hands that have no answer").into())).await.ok();
                 }
             }
+            if let (Some(recorder), Some(record)) = (&engine.recorder, record) {
+                recorder.finish(record);
+            }
         });
         Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
+    }
+
+    async fn report_outcome(
+        &self,
+        request: Request<v1::ReportOutcomeRequest>,
+    ) -> Result<Response<v1::ReportOutcomeResponse>, Status> {
+        let recorder = self.engine.recorder.as_ref().ok_or(ServiceError::NoRecording)?;
+        let report = convert::report_outcome(request.into_inner()).map_err(ServiceError::from)?;
+        let repeated_report = recorder.report(report).await?;
+        Ok(Response::new(v1::ReportOutcomeResponse { repeated_report }))
+    }
+}
+
+impl PlannerApi {
+    /// Begins to record a call, if it is to be.
+    fn record(
+        &self,
+        asked: bool,
+        clock: &CallClock,
+        request: impl FnOnce() -> Recorded,
+    ) -> Option<CallRecord> {
+        self.engine.recorder.as_ref()?.begin(asked, clock, clock.trace.id_text(), request)
+    }
+}
+
+/// The caller's name for the request, in each line of the log that is about it.
+fn name_in_log(request_id: &str) {
+    if !request_id.is_empty() {
+        tracing::Span::current().record("request_id", convert::shortened(request_id));
     }
 }
 
@@ -170,15 +224,19 @@ fn repeatable(request_id: Option<String>, caller: &Caller, asked: u64) -> Option
 /// Sends each task's result as it comes, then the summary.
 async fn send_results(
     call: &Call,
-    mut answers: JoinSet<(String, Answer)>,
+    mut answers: JoinSet<(Task, Answer)>,
     sender: &mpsc::Sender<Result<v1::PlanMultiHandResponse, Status>>,
+    record: &mut Option<CallRecord>,
 ) {
     let mut summary = v1::MultiHandSummary::default();
     let mut failed = 0;
     let (mut with, mut without) = (0, 0);
     while let Some(joined) = answers.join_next().await {
         // A task of the runtime ends early only when the runtime itself ends.
-        let Ok((task_id, answer)) = joined else { return };
+        let Ok((task, answer)) = joined else { return };
+        if let Some(record) = record {
+            record.push(task.id(), Some(task.hand()), &answer);
+        }
         match &answer {
             Ok(response) if response.grasps.is_empty() => without += 1,
             Ok(_) => with += 1,
@@ -188,7 +246,7 @@ async fn send_results(
             Ok(response) => v1::hand_task_result::Outcome::Response(response),
             Err(error) => v1::hand_task_result::Outcome::Error(status::task_error(&error)),
         };
-        let result = v1::HandTaskResult { task_id, outcome: Some(outcome) };
+        let result = v1::HandTaskResult { task_id: task.id().to_owned(), outcome: Some(outcome) };
         let event = Some(plan_multi_hand_response::Event::Result(result));
         if sender.send(Ok(v1::PlanMultiHandResponse { event })).await.is_err() {
             return;
@@ -208,6 +266,7 @@ struct GraspStream {
     engine: Arc<Engine>,
     call: Call,
     task: Task,
+    record: Option<CallRecord>,
     sender: mpsc::Sender<Result<v1::StreamGraspsResponse, Status>>,
     /// Dropped with the stream: stops the planner.
     _cancel: CancelOnDrop,
@@ -215,7 +274,7 @@ struct GraspStream {
 
 impl GraspStream {
     async fn run(
-        self,
+        mut self,
         ticket: Ticket<Answer>,
         mut improved: watch::Receiver<Option<v1::PlanGraspsResponse>>,
         leader: Option<Leader>,
@@ -233,7 +292,8 @@ impl GraspStream {
             tokio::select! {
                 biased;
                 () = self.sender.closed() => return,
-                answer = &mut answer => {
+                mut answer = &mut answer => {
+                    self.engine.leaves_alone(self.record.take(), &self.task, &mut answer);
                     if let (Some(leader), Ok(answer)) = (leader, &answer) {
                         leader.answer(answer);
                     }
@@ -260,14 +320,17 @@ impl GraspStream {
 
     /// The answer of the call that has the same id, without what it found on the way; this one plans only if that
     /// one ends without an answer.
-    async fn repeat(self, repeatable: Option<Repeatable>) {
+    async fn repeat(mut self, repeatable: Option<Repeatable>) {
         let accepted = v1::Accepted { queue_position: 0 };
         if !self.send(Ok(stream_grasps_response::Event::Accepted(accepted))).await {
             return;
         }
+        let record = self.record.take();
         let plan = async || {
             let ticket = self.engine.submit_single(&self.call, &self.task, None)?;
-            self.engine.answer(&self.call, &self.task, ticket).await
+            let mut answer = self.engine.answer(&self.call, &self.task, ticket).await;
+            self.engine.leaves_alone(record, &self.task, &mut answer);
+            answer
         };
         let answer = tokio::select! {
             biased;

@@ -194,3 +194,41 @@ async fn hostile_files_are_refused_by_name_and_nothing_is_added() {
         "hands/honest"
     );
 }
+
+#[tokio::test]
+async fn an_upload_with_a_name_can_be_repeated() {
+    let server = TestServer::start().await;
+    let files = library_files(GRIPPER);
+    let upload = |hand_id: &str, request_id: &str, files: &BTreeMap<String, Vec<u8>>| {
+        let header = v1::CreateHandHeader {
+            hand_id: hand_id.to_owned(),
+            request_id: request_id.to_owned(),
+            ..v1::CreateHandHeader::default()
+        };
+        let part = |part| v1::CreateHandRequest { part: Some(part) };
+        let mut messages = vec![part(v1::create_hand_request::Part::Header(header))];
+        messages.extend(files.iter().map(|(path, data)| {
+            let chunk = v1::FileChunk { path: path.clone(), data: data.clone().into() };
+            part(v1::create_hand_request::Part::Chunk(chunk))
+        }));
+        let endpoint = server.endpoint();
+        async move {
+            let mut hands = v1::hand_service_client::HandServiceClient::connect(endpoint).await.unwrap();
+            hands.create_hand(tokio_stream::iter(messages)).await.map(|answer| answer.into_inner())
+        }
+    };
+    // At the same time and one after the other.
+    let (first, second) = tokio::join!(upload("mine", "a", &files), upload("mine", "a", &files));
+    let first = first.unwrap();
+    assert_eq!(first, second.unwrap());
+    assert_eq!(first, upload("mine", "a", &files).await.unwrap());
+    for request_id in ["", "b"] {
+        assert_eq!(upload("mine", request_id, &files).await.unwrap_err().code(), Code::AlreadyExists);
+    }
+    let mut other = files.clone();
+    other.get_mut("hand.toml").unwrap().extend(b"\n# changed\n");
+    let reused = upload("mine", "a", &other).await.unwrap_err();
+    assert_eq!(reused.code(), Code::InvalidArgument, "{reused:?}");
+    server.client().await.delete_hand("hands/mine").await.unwrap();
+    upload("mine", "a", &other).await.unwrap();
+}

@@ -11,6 +11,7 @@ mod hands;
 mod lifecycle;
 mod planning;
 mod python;
+mod recording;
 mod scheduling;
 mod security;
 mod streaming;

@@ -6,6 +6,9 @@ use std::process::{Command, Output};
 use graspd_tests::TestServer;
 
 const PACKAGES: [&str; 4] = ["grpcio", "grpcio-tools", "protobuf", "numpy"];
+/// What reads recordings, and the schemas as their owner publishes them.
+const READERS: [&str; 3] =
+    ["mcap==1.6.0", "mcap-protobuf-support==0.6.0", "foxglove-schemas-protobuf==0.4.0"];
 
 /// Signs in pip's output that it could not reach an index, rather than that something is wrong here.
 const NO_NETWORK: [&str; 5] = [
@@ -37,7 +40,7 @@ fn text(output: &Output) -> String {
 }
 
 /// Makes (or finds) the virtual environment; the reason why there is none.
-fn environment(folder: &Path) -> Result<PathBuf, String> {
+fn environment(folder: &Path, packages: &[&str]) -> Result<PathBuf, String> {
     let python = folder.join("bin/python");
     let ready = folder.join("graspd-test-ready");
     if ready.exists() {
@@ -54,7 +57,7 @@ fn environment(folder: &Path) -> Result<PathBuf, String> {
     }
     let installed = run(Command::new(&python)
         .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--retries", "1"])
-        .args(PACKAGES));
+        .args(packages));
     if !installed.status.success() {
         let said = text(&installed);
         assert!(NO_NETWORK.iter().any(|sign| said.contains(sign)), "{said}");
@@ -66,7 +69,7 @@ fn environment(folder: &Path) -> Result<PathBuf, String> {
 
 fn plan_with_python(endpoint: &str) -> Result<String, String> {
     let scratch = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
-    let python = environment(&scratch.join("python-client"))?;
+    let python = environment(&scratch.join("python-client"), &PACKAGES)?;
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let protocol = here.join("../proto");
     let stubs = scratch.join("python-stubs");
@@ -92,6 +95,36 @@ async fn a_python_client_plans() {
     let server = TestServer::start().await;
     let addr = server.addr.to_string();
     match tokio::task::spawn_blocking(move || plan_with_python(&addr)).await.unwrap() {
+        Ok(said) => assert!(said.contains("all checks passed"), "{said}"),
+        Err(reason) => {
+            assert!(!required(std::env::var(REQUIRED).ok().as_deref()), "{REQUIRED} is set and {reason}");
+            eprintln!("skipped: {reason}");
+        }
+    }
+}
+
+#[tokio::test]
+async fn python_reads_a_recording_by_the_schemas_that_it_carries() {
+    let scratch = crate::recording::Scratch::new();
+    let server = TestServer::start_with(crate::recording::config(&scratch.0, 1.0)).await;
+    let answers = crate::recording::call_all(&server).await;
+    let success = graspd_client::ReportOutcomeRequest {
+        plan_id: answers[0].plan_id.clone(),
+        outcome: graspd_client::GraspOutcome::Success.into(),
+        ..Default::default()
+    };
+    server.client().await.report_outcome(&success).await.unwrap();
+    crate::recording::stop(server).await;
+    let folder = scratch.0.clone();
+    let read = move || -> Result<String, String> {
+        let environments = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+        let python = environment(&environments.join("python-recording"), &READERS)?;
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/read_recording.py");
+        let output = run(Command::new(&python).arg(script).arg(folder).args(["3", "1"]));
+        assert!(output.status.success(), "{}", text(&output));
+        Ok(text(&output))
+    };
+    match tokio::task::spawn_blocking(read).await.unwrap() {
         Ok(said) => assert!(said.contains("all checks passed"), "{said}"),
         Err(reason) => {
             assert!(!required(std::env::var(REQUIRED).ok().as_deref()), "{REQUIRED} is set and {reason}");

@@ -187,3 +187,34 @@ async fn a_repeated_request_id_is_the_same_call() {
     let long = PlanGraspsRequest { request_id: "x".repeat(129), ..plan };
     assert_eq!(call_error(client.plan_grasps(&long).await).violations[0].field, "request_id");
 }
+
+#[tokio::test]
+async fn a_quick_hand_does_not_wait_for_a_slow_one_of_its_call() {
+    let server = narrow(0).await;
+    let client = server.client().await;
+    let task = |id: &str, batch_size, iterations| v1::HandTask {
+        task_id: id.to_owned(),
+        hand: format!("hands/{GRIPPER}"),
+        options: Some(PlanOptions {
+            batch_size,
+            scheme: Some(v1::Scheme { iteration_count: iterations, penetration_iteration_count: 10 }),
+            ..PlanOptions::default()
+        }),
+    };
+    let plan = v1::PlanMultiHandRequest {
+        frames: request(GRIPPER).frames,
+        tasks: vec![task("slow", 64, 600), task("middle", 32, 60), task("quick", 8, 10)],
+        ..v1::PlanMultiHandRequest::default()
+    };
+    // By what is asked, and then by what the server has learned.
+    for _ in 0..2 {
+        let mut stream = client.plan_multi_hand(&plan).await.unwrap();
+        let mut order = Vec::new();
+        while let Some(event) = stream.next().await.unwrap() {
+            if let graspd_client::MultiHandEvent::Result(result) = event {
+                order.push(result.task_id);
+            }
+        }
+        assert_eq!(order, ["quick", "middle", "slow"]);
+    }
+}

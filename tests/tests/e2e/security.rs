@@ -5,9 +5,12 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use graspd_client::{Client, ClientConfig, ClientError, ClientTls, Code, RetryPolicy, Secret};
+use graspd_client::{
+    Client, ClientConfig, ClientError, ClientTls, Code, PlanGraspsRequest, PlanOptions, RetryPolicy, Secret,
+};
 use graspd_proto::v1::hand_service_client::HandServiceClient;
 use graspd_proto::v1::{CreateHandHeader, CreateHandRequest, ListHandsRequest, create_hand_request};
+use graspd_server::pool::Priority;
 use graspd_server::security::{Access, Certificate, Limits, Role, Tls, Token};
 use graspd_server::{ServeError, Server, ServerConfig};
 use graspd_tests::{STALLS, TestServer};
@@ -87,6 +90,7 @@ fn tokens() -> Access {
             token("desk", "rule", Role::Operator),
         ],
         certificates: Vec::new(),
+        most_urgent: [("arm".to_owned(), Priority::Normal)].into(),
     }
 }
 
@@ -173,6 +177,17 @@ async fn tokens_let_in_and_roles_say_how_far() {
         let deleted = client.delete_hand("hands/nobody").await;
         assert_eq!(call_error(deleted).code, delete, "{secret}");
     }
+    // Who may be how urgent.
+    let urgent = |priority: graspd_proto::v1::Priority| {
+        let options = PlanOptions { priority: priority.into(), ..PlanOptions::default() };
+        PlanGraspsRequest { options: Some(options), ..request(GRIPPER) }
+    };
+    let arm = connect(server.addr, tls(), Some("plan")).await.unwrap();
+    arm.plan_grasps(&urgent(graspd_proto::v1::Priority::Normal)).await.unwrap();
+    let error = call_error(arm.plan_grasps(&urgent(graspd_proto::v1::Priority::High)).await);
+    assert_eq!((error.code, error.reason.as_str()), (Code::PermissionDenied, "PRIORITY_FORBIDDEN"));
+    let desk = connect(server.addr, tls(), Some("rule")).await.unwrap();
+    desk.plan_grasps(&urgent(graspd_proto::v1::Priority::Servo)).await.unwrap();
     let text = format!("{:?}", ClientConfig { token: Some(Secret::new("rule")), ..ClientConfig::new("x") });
     assert!(!text.contains("rule"), "{text}");
 }
@@ -184,7 +199,7 @@ async fn client_certificates_let_in_if_they_are_good() {
     let listed = Certificate { name: "cell".to_owned(), sha256, role: Role::Controller };
     let config = ServerConfig {
         tls: Some(authority.files(true)),
-        access: Access { tokens: Vec::new(), certificates: vec![listed] },
+        access: Access { certificates: vec![listed], ..Access::default() },
         ..TestServer::config()
     };
     let server = TestServer::start_with(config).await;
@@ -299,7 +314,7 @@ async fn garbage_and_floods_of_headers_hurt_nobody_else() {
 async fn a_request_that_does_not_arrive_and_more_than_a_quota_are_refused() {
     let server = TestServer::start_with(tight()).await;
     let channel = Channel::from_shared(server.endpoint()).unwrap().connect().await.unwrap();
-    let header = CreateHandHeader { hand_id: "slow".to_owned(), validate_only: true };
+    let header = CreateHandHeader { hand_id: "slow".to_owned(), validate_only: true, ..Default::default() };
     let first = CreateHandRequest { part: Some(create_hand_request::Part::Header(header)) };
     let never = tokio_stream::iter([first]).chain(tokio_stream::pending());
     let began = Instant::now();
@@ -330,4 +345,28 @@ async fn a_request_that_does_not_arrive_and_more_than_a_quota_are_refused() {
         assert_eq!(call_error(upload().await).code, Code::InvalidArgument);
     }
     assert_eq!(call_error(upload().await).reason, "QUOTA");
+}
+
+#[tokio::test]
+async fn bytes_of_one_caller_are_limited_and_come_back() {
+    // Room for one request of 300 kB at a time, not for two.
+    let limits = Limits { bytes_per_caller: 500_000, ..Limits::default() };
+    let server = TestServer::start_with(ServerConfig { limits, ..TestServer::config() }).await;
+    let client = server.client().await;
+    let held = {
+        let client = client.clone();
+        tokio::spawn(async move { client.plan_grasps(&request_with(STALLS)).await })
+    };
+    server.busy().await;
+    let error = call_error(client.plan_grasps(&request(GRIPPER)).await);
+    assert_eq!((error.code, error.reason.as_str()), (Code::ResourceExhausted, "QUOTA"), "{error:?}");
+    // Small calls are not in the way of a large one.
+    client.list_hands().await.unwrap();
+    held.abort();
+    server.idle_within(Duration::from_secs(10)).await;
+    let began = Instant::now();
+    while client.plan_grasps(&request(GRIPPER)).await.is_err() {
+        assert!(began.elapsed() < Duration::from_secs(20), "bytes do not come back");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
 }

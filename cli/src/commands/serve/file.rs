@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context as _, ensure};
-use graspd_server::ServerConfig;
+use graspd_server::pool::Priority;
 use graspd_server::security::{Certificate, Role, Tls, Token};
+use graspd_server::{RecordConfig, ServerConfig};
 use serde::Deserialize;
 
 #[derive(Debug, Default, Deserialize)]
@@ -16,10 +17,13 @@ struct File {
     insecure_listen: Option<bool>,
     metrics_listen: Option<SocketAddr>,
     hands_dir: Option<PathBuf>,
+    calibration: Option<PathBuf>,
+    otlp: Option<String>,
     drain_seconds: Option<f64>,
     #[serde(default)]
     planning: Planning,
     tls: Option<TlsTable>,
+    record: Option<RecordTable>,
     #[serde(default)]
     limits: LimitsTable,
     #[serde(default)]
@@ -35,6 +39,14 @@ struct Planning {
     slots: Option<u32>,
     servo_slots: Option<u32>,
     queue: Option<u32>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RecordTable {
+    folder: PathBuf,
+    share: Option<f64>,
+    budget_mib: Option<u32>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -66,6 +78,7 @@ struct Entry {
     name: String,
     sha256: String,
     role: String,
+    most_urgent: Option<String>,
 }
 
 /// Reads the settings.
@@ -81,6 +94,8 @@ pub(super) fn parse(text: &str) -> anyhow::Result<ServerConfig> {
     config.insecure_listen = file.insecure_listen.unwrap_or(false);
     config.metrics_listen = file.metrics_listen;
     config.hands_dir = file.hands_dir;
+    config.otlp = file.otlp;
+    config.calibration = file.calibration.as_deref().map(super::calibration).transpose()?;
     if let Some(given) = file.drain_seconds {
         config.drain_grace = seconds("drain_seconds", given, 0.0)?;
     }
@@ -101,8 +116,9 @@ pub(super) fn parse(text: &str) -> anyhow::Result<ServerConfig> {
             "tls.require_client_certificate: found true, expected tls.client_roots with it"
         );
     }
+    config.record = file.record.map(record).transpose()?;
     limits(&mut config, &file.limits)?;
-    let entry = |kind: &str, i: usize, entry: Entry| -> anyhow::Result<(String, [u8; 32], Role)> {
+    let entry = |kind: &str, i: usize, entry: &Entry| -> anyhow::Result<(Role, [u8; 32], Option<Priority>)> {
         let at = |key: &str| format!("{kind}[{i}].{key} ({:?})", entry.name);
         let role = Role::by_name(&entry.role).with_context(|| {
             format!("{}: found {:?}, expected viewer, controller or operator", at("role"), entry.role)
@@ -110,18 +126,37 @@ pub(super) fn parse(text: &str) -> anyhow::Result<ServerConfig> {
         let sha256 = hash(&entry.sha256).with_context(|| {
             format!("{}: found {} characters, expected 64 of 0-9a-f", at("sha256"), entry.sha256.len())
         })?;
-        Ok((entry.name, sha256, role))
+        let most_urgent = entry.most_urgent.as_deref().map(|given| {
+            Priority::ALL.into_iter().find(|p| p.name() == given).with_context(|| {
+                format!("{}: found {given:?}, expected low, normal, high or servo", at("most_urgent"))
+            })
+        });
+        Ok((role, sha256, most_urgent.transpose()?))
     };
     for (i, given) in file.token.into_iter().enumerate() {
-        let (name, sha256, role) = entry("token", i, given)?;
-        config.access.tokens.push(Token { name, sha256, role });
+        let (role, sha256, most_urgent) = entry("token", i, &given)?;
+        config.access.most_urgent.extend(most_urgent.map(|p| (given.name.clone(), p)));
+        config.access.tokens.push(Token { name: given.name, sha256, role });
     }
     for (i, given) in file.certificate.into_iter().enumerate() {
-        let (name, sha256, role) = entry("certificate", i, given)?;
-        config.access.certificates.push(Certificate { name, sha256, role });
+        let (role, sha256, most_urgent) = entry("certificate", i, &given)?;
+        config.access.most_urgent.extend(most_urgent.map(|p| (given.name.clone(), p)));
+        config.access.certificates.push(Certificate { name: given.name, sha256, role });
     }
     config.access.check()?;
     Ok(config)
+}
+
+fn record(file: RecordTable) -> anyhow::Result<RecordConfig> {
+    let mut record = super::record_in(file.folder);
+    if let Some(share) = file.share {
+        ensure!((0.0..=1.0).contains(&share), "record.share: found {share}, expected 0 to 1");
+        record.share = share;
+    }
+    let mut mib = usize::try_from(record.budget_bytes >> 20).unwrap_or(usize::MAX);
+    set(&mut mib, "record.budget_mib", file.budget_mib, (16, u32::MAX))?;
+    record.budget_bytes = (mib as u64) << 20;
+    Ok(record)
 }
 
 fn limits(config: &mut ServerConfig, file: &LimitsTable) -> anyhow::Result<()> {
@@ -203,6 +238,12 @@ mod tests {
             ("[planning]\nslots = 0".to_owned(), "planning.slots: found 0, expected 1 to 1024"),
             ("[planning]\nslots = -1".to_owned(), "line 2, column 9"),
             ("[limits]\nreceive_seconds = 0".to_owned(), "limits.receive_seconds: found 0, expected 0.01 to"),
+            ("[record]\nfolder = \"r\"\nshare = 2".to_owned(), "record.share: found 2, expected 0 to 1"),
+            ("[record]\nshare = 1".to_owned(), "missing field `folder`"),
+            (
+                "[record]\nfolder = \"r\"\nbudget_mib = 1".to_owned(),
+                "record.budget_mib: found 1, expected 16",
+            ),
             ("drain_seconds = nan".to_owned(), "drain_seconds: found NaN"),
             (
                 format!("[[token]]\nname = \"arm\"\nrole = \"controller\"\nsha256 = \"{hash}\""),
@@ -211,6 +252,12 @@ mod tests {
             (
                 format!("[[token]]\nname = \"arm\"\nrole = \"king\"\nsha256 = \"{hash}0\""),
                 "token[0].role (\"arm\"): found \"king\", expected viewer, controller or operator",
+            ),
+            (
+                format!(
+                    "[[token]]\nname = \"arm\"\nrole = \"viewer\"\nsha256 = \"{hash}1\"\nmost_urgent = \"x\""
+                ),
+                "token[0].most_urgent (\"arm\"): found \"x\", expected low, normal",
             ),
             (
                 "[tls]\ncertificate = \"a\"\nkey = \"b\"\nrequire_client_certificate = true".to_owned(),

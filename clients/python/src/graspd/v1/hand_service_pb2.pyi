@@ -758,19 +758,26 @@ class CreateHandHeader(_message.Message):
 
     HAND_ID_FIELD_NUMBER: _builtins.int
     VALIDATE_ONLY_FIELD_NUMBER: _builtins.int
+    REQUEST_ID_FIELD_NUMBER: _builtins.int
     hand_id: _builtins.str
     """Last part of the resource name: a lower-case letter, then at most 62 lower-case letters, digits and hyphens."""
     validate_only: _builtins.bool
     """Check everything and add nothing."""
+    request_id: _builtins.str
+    """Chosen by the caller, for example a UUID, at most 128 bytes: makes repeating safe. A hand that the same caller has
+    created under this id from the same files is answered again instead of ALREADY_EXISTS, for as long as the hand
+    lives. Other files under the same id are INVALID_ARGUMENT (REQUEST_ID_REUSED).
+    """
     def __init__(
         self,
         *,
         hand_id: _builtins.str = ...,
         validate_only: _builtins.bool = ...,
+        request_id: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["hand_id", b"hand_id", "validate_only", b"validate_only"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["hand_id", b"hand_id", "request_id", b"request_id", "validate_only", b"validate_only"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -101,7 +101,9 @@ class _PriorityEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Priority.Val
     """A correction of a motion under way. The server keeps room for these that no other work takes."""
 
 class Priority(_Priority, metaclass=_PriorityEnumTypeWrapper):
-    """How urgent a call is. Whoever may plan may ask for any of these."""
+    """How urgent a call is. Whoever may plan may ask for any of these, unless the server limits the caller
+    (PERMISSION_DENIED, PRIORITY_FORBIDDEN).
+    """
 
 PRIORITY_UNSPECIFIED: Priority.ValueType  # 0
 """Same as NORMAL."""

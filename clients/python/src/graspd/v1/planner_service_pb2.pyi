@@ -9,6 +9,7 @@ from google.protobuf import duration_pb2 as _duration_pb2
 from google.protobuf import message as _message
 from google.protobuf import timestamp_pb2 as _timestamp_pb2
 from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from graspd.v1 import frame_pb2 as _frame_pb2
 from graspd.v1 import grasp_pb2 as _grasp_pb2
 from graspd.v1 import options_pb2 as _options_pb2
@@ -23,6 +24,58 @@ else:
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
+class _GraspOutcome:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _GraspOutcomeEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_GraspOutcome.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    GRASP_OUTCOME_UNSPECIFIED: _GraspOutcome.ValueType  # 0
+    """Rejected with INVALID_ARGUMENT."""
+    GRASP_OUTCOME_SUCCESS: _GraspOutcome.ValueType  # 1
+    """The object was lifted and arrived."""
+    GRASP_OUTCOME_COLLISION: _GraspOutcome.ValueType  # 2
+    """The hand met the table, the tray or an object on its way (Fig. 8b, c)."""
+    GRASP_OUTCOME_UNSTABLE_CONTACT: _GraspOutcome.ValueType  # 3
+    """The fingers closed on nothing or too little, or pushed the object away (Fig. 8a, d, e)."""
+    GRASP_OUTCOME_LOST_LIFTING: _GraspOutcome.ValueType  # 4
+    """The object left the hand while it was lifted or held."""
+    GRASP_OUTCOME_LOST_CARRYING: _GraspOutcome.ValueType  # 5
+    """The object left the hand on its way."""
+    GRASP_OUTCOME_NOT_DELIVERED: _GraspOutcome.ValueType  # 6
+    """The object did not arrive, and nobody knows why."""
+    GRASP_OUTCOME_OTHER_FAILURE: _GraspOutcome.ValueType  # 7
+    """It failed in another way; the note may say how."""
+    GRASP_OUTCOME_NOT_EXECUTED: _GraspOutcome.ValueType  # 8
+    """The grasp was not executed to its end for a reason that says nothing about it: out of reach, a device failed.
+    Kept, and not learned from.
+    """
+
+class GraspOutcome(_GraspOutcome, metaclass=_GraspOutcomeEnumTypeWrapper):
+    """What became of a grasp. The classes of failure are those of the paper's Supplementary Fig. 8."""
+
+GRASP_OUTCOME_UNSPECIFIED: GraspOutcome.ValueType  # 0
+"""Rejected with INVALID_ARGUMENT."""
+GRASP_OUTCOME_SUCCESS: GraspOutcome.ValueType  # 1
+"""The object was lifted and arrived."""
+GRASP_OUTCOME_COLLISION: GraspOutcome.ValueType  # 2
+"""The hand met the table, the tray or an object on its way (Fig. 8b, c)."""
+GRASP_OUTCOME_UNSTABLE_CONTACT: GraspOutcome.ValueType  # 3
+"""The fingers closed on nothing or too little, or pushed the object away (Fig. 8a, d, e)."""
+GRASP_OUTCOME_LOST_LIFTING: GraspOutcome.ValueType  # 4
+"""The object left the hand while it was lifted or held."""
+GRASP_OUTCOME_LOST_CARRYING: GraspOutcome.ValueType  # 5
+"""The object left the hand on its way."""
+GRASP_OUTCOME_NOT_DELIVERED: GraspOutcome.ValueType  # 6
+"""The object did not arrive, and nobody knows why."""
+GRASP_OUTCOME_OTHER_FAILURE: GraspOutcome.ValueType  # 7
+"""It failed in another way; the note may say how."""
+GRASP_OUTCOME_NOT_EXECUTED: GraspOutcome.ValueType  # 8
+"""The grasp was not executed to its end for a reason that says nothing about it: out of reach, a device failed.
+Kept, and not learned from.
+"""
+Global___GraspOutcome: _TypeAlias = GraspOutcome  # noqa: Y015
+
 @_typing.final
 class PlanGraspsRequest(_message.Message):
     """Request of PlanGrasps."""
@@ -34,12 +87,17 @@ class PlanGraspsRequest(_message.Message):
     SCENE_OPTIONS_FIELD_NUMBER: _builtins.int
     OPTIONS_FIELD_NUMBER: _builtins.int
     REQUEST_ID_FIELD_NUMBER: _builtins.int
+    RECORD_FIELD_NUMBER: _builtins.int
     hand: _builtins.str
     """"hands/{hand}". Required. NOT_FOUND when there is none of that name."""
     request_id: _builtins.str
     """Chosen by the caller, for example a UUID, at most 128 bytes: makes repeating safe. Calls of one caller with the
     same id are one call: a repetition gets the answer of the first, up to a minute later, or waits for it. Another
     request under the same id is INVALID_ARGUMENT (REQUEST_ID_REUSED). Empty: every call is its own.
+    """
+    record: _builtins.bool
+    """Record this call, whatever the server's share of recorded calls is. A server that keeps no recording plans all
+    the same, and so does one whose disk is too slow; PlanGraspsResponse.recorded tells.
     """
     @_builtins.property
     def frames(self) -> _containers.RepeatedCompositeFieldContainer[_frame_pb2.DepthFrame]:
@@ -61,10 +119,11 @@ class PlanGraspsRequest(_message.Message):
         scene_options: _options_pb2.SceneOptions | None = ...,
         options: _options_pb2.PlanOptions | None = ...,
         request_id: _builtins.str = ...,
+        record: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["options", b"options", "scene_options", b"scene_options"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "hand", b"hand", "options", b"options", "request_id", b"request_id", "scene_options", b"scene_options"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "hand", b"hand", "options", b"options", "record", b"record", "request_id", b"request_id", "scene_options", b"scene_options"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -82,6 +141,13 @@ class PlanGraspsResponse(_message.Message):
     STATS_FIELD_NUMBER: _builtins.int
     TRACE_FIELD_NUMBER: _builtins.int
     CAPTURE_TIME_FIELD_NUMBER: _builtins.int
+    PLAN_ID_FIELD_NUMBER: _builtins.int
+    RECORDED_FIELD_NUMBER: _builtins.int
+    CALIBRATION_FIELD_NUMBER: _builtins.int
+    plan_id: _builtins.str
+    """This plan's name, unique among all plans of all servers: for ReportOutcome, and in recordings."""
+    recorded: _builtins.bool
+    """This plan is being recorded."""
     @_builtins.property
     def grasps(self) -> _containers.RepeatedCompositeFieldContainer[_grasp_pb2.Grasp]:
         """Best first."""
@@ -106,6 +172,10 @@ class PlanGraspsResponse(_message.Message):
     def capture_time(self) -> _timestamp_pb2.Timestamp:
         """DepthFrame.capture_time of the first frame."""
 
+    @_builtins.property
+    def calibration(self) -> Global___ScoreCalibration:
+        """What Grasp.score was made with; unset: it is Grasp.uncalibrated_score."""
+
     def __init__(
         self,
         *,
@@ -115,14 +185,49 @@ class PlanGraspsResponse(_message.Message):
         stats: _grasp_pb2.PlanStats | None = ...,
         trace: _abc.Iterable[_grasp_pb2.ObjectiveTerms] | None = ...,
         capture_time: _timestamp_pb2.Timestamp | None = ...,
+        plan_id: _builtins.str = ...,
+        recorded: _builtins.bool = ...,
+        calibration: Global___ScoreCalibration | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["capture_time", b"capture_time", "no_grasp", b"no_grasp", "stats", b"stats", "workspace", b"workspace"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["calibration", b"calibration", "capture_time", b"capture_time", "no_grasp", b"no_grasp", "stats", b"stats", "workspace", b"workspace"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["capture_time", b"capture_time", "grasps", b"grasps", "no_grasp", b"no_grasp", "stats", b"stats", "trace", b"trace", "workspace", b"workspace"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["calibration", b"calibration", "capture_time", b"capture_time", "grasps", b"grasps", "no_grasp", b"no_grasp", "plan_id", b"plan_id", "recorded", b"recorded", "stats", b"stats", "trace", b"trace", "workspace", b"workspace"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___PlanGraspsResponse: _TypeAlias = PlanGraspsResponse  # noqa: Y015
+
+@_typing.final
+class ScoreCalibration(_message.Message):
+    """What made scores into shares of success."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NAME_FIELD_NUMBER: _builtins.int
+    OUTCOME_COUNT_FIELD_NUMBER: _builtins.int
+    CREATE_TIME_FIELD_NUMBER: _builtins.int
+    name: _builtins.str
+    """Name of the calibration."""
+    outcome_count: _builtins.int
+    """Outcomes that it was learned from."""
+    @_builtins.property
+    def create_time(self) -> _timestamp_pb2.Timestamp:
+        """When it was learned."""
+
+    def __init__(
+        self,
+        *,
+        name: _builtins.str = ...,
+        outcome_count: _builtins.int = ...,
+        create_time: _timestamp_pb2.Timestamp | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["create_time", b"create_time"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["create_time", b"create_time", "name", b"name", "outcome_count", b"outcome_count"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ScoreCalibration: _TypeAlias = ScoreCalibration  # noqa: Y015
 
 @_typing.final
 class StreamGraspsRequest(_message.Message):
@@ -218,10 +323,13 @@ class PlanMultiHandRequest(_message.Message):
     SCENE_OPTIONS_FIELD_NUMBER: _builtins.int
     TASKS_FIELD_NUMBER: _builtins.int
     REQUEST_ID_FIELD_NUMBER: _builtins.int
+    RECORD_FIELD_NUMBER: _builtins.int
     request_id: _builtins.str
     """As PlanGraspsRequest.request_id, for the answer of each task by itself: a repetition plans only for the tasks
     that have no answer yet.
     """
+    record: _builtins.bool
+    """As PlanGraspsRequest.record."""
     @_builtins.property
     def frames(self) -> _containers.RepeatedCompositeFieldContainer[_frame_pb2.DepthFrame]:
         """The scene: 1 to 16 frames of one moment. Required."""
@@ -241,10 +349,11 @@ class PlanMultiHandRequest(_message.Message):
         scene_options: _options_pb2.SceneOptions | None = ...,
         tasks: _abc.Iterable[Global___HandTask] | None = ...,
         request_id: _builtins.str = ...,
+        record: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["scene_options", b"scene_options"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "request_id", b"request_id", "scene_options", b"scene_options", "tasks", b"tasks"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "record", b"record", "request_id", b"request_id", "scene_options", b"scene_options", "tasks", b"tasks"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -447,3 +556,59 @@ class MultiHandSummary(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___MultiHandSummary: _TypeAlias = MultiHandSummary  # noqa: Y015
+
+@_typing.final
+class ReportOutcomeRequest(_message.Message):
+    """Request of ReportOutcome."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PLAN_ID_FIELD_NUMBER: _builtins.int
+    GRASP_INDEX_FIELD_NUMBER: _builtins.int
+    OUTCOME_FIELD_NUMBER: _builtins.int
+    NOTE_FIELD_NUMBER: _builtins.int
+    plan_id: _builtins.str
+    """PlanGraspsResponse.plan_id. Required."""
+    grasp_index: _builtins.int
+    """Which of its grasps: index into PlanGraspsResponse.grasps."""
+    outcome: Global___GraspOutcome.ValueType
+    """What became of it. Required."""
+    note: _builtins.str
+    """For people, at most 1024 bytes."""
+    def __init__(
+        self,
+        *,
+        plan_id: _builtins.str = ...,
+        grasp_index: _builtins.int = ...,
+        outcome: Global___GraspOutcome.ValueType = ...,
+        note: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["grasp_index", b"grasp_index", "note", b"note", "outcome", b"outcome", "plan_id", b"plan_id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ReportOutcomeRequest: _TypeAlias = ReportOutcomeRequest  # noqa: Y015
+
+@_typing.final
+class ReportOutcomeResponse(_message.Message):
+    """Response of ReportOutcome."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    REPEATED_REPORT_FIELD_NUMBER: _builtins.int
+    repeated_report: _builtins.bool
+    """An outcome was known for this grasp already, and it was this one."""
+    def __init__(
+        self,
+        *,
+        repeated_report: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["repeated_report", b"repeated_report"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ReportOutcomeResponse: _TypeAlias = ReportOutcomeResponse  # noqa: Y015

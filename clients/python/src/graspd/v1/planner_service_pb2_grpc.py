@@ -60,6 +60,11 @@ class PlannerServiceStub(object):
                 request_serializer=graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandRequest.SerializeToString,
                 response_deserializer=graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandResponse.FromString,
                 _registered_method=True)
+        self.ReportOutcome = channel.unary_unary(
+                '/graspd.v1.PlannerService/ReportOutcome',
+                request_serializer=graspd_dot_v1_dot_planner__service__pb2.ReportOutcomeRequest.SerializeToString,
+                response_deserializer=graspd_dot_v1_dot_planner__service__pb2.ReportOutcomeResponse.FromString,
+                _registered_method=True)
 
 
 class PlannerServiceServicer(object):
@@ -98,6 +103,15 @@ class PlannerServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ReportOutcome(self, request, context):
+        """Says what became of a grasp. Kept in the server's recording, beside its plan; FAILED_PRECONDITION
+        (NO_RECORDING) where the server keeps none, NOT_FOUND (PLAN_NOT_FOUND) for a plan that it does not know (any
+        more). Safe to repeat; another outcome for the same grasp replaces the one before.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_PlannerServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -115,6 +129,11 @@ def add_PlannerServiceServicer_to_server(servicer, server):
                     servicer.PlanMultiHand,
                     request_deserializer=graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandRequest.FromString,
                     response_serializer=graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandResponse.SerializeToString,
+            ),
+            'ReportOutcome': grpc.unary_unary_rpc_method_handler(
+                    servicer.ReportOutcome,
+                    request_deserializer=graspd_dot_v1_dot_planner__service__pb2.ReportOutcomeRequest.FromString,
+                    response_serializer=graspd_dot_v1_dot_planner__service__pb2.ReportOutcomeResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -209,6 +228,33 @@ class PlannerService(object):
             '/graspd.v1.PlannerService/PlanMultiHand',
             graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandRequest.SerializeToString,
             graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ReportOutcome(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/graspd.v1.PlannerService/ReportOutcome',
+            graspd_dot_v1_dot_planner__service__pb2.ReportOutcomeRequest.SerializeToString,
+            graspd_dot_v1_dot_planner__service__pb2.ReportOutcomeResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -52,6 +52,11 @@ class PlannerServiceStub:
     """One scene, several hands: the frames are sent and read once, each hand's answer comes as soon as it is ready,
     and a summary comes last.
     """
+    ReportOutcome: _grpc.UnaryUnaryMultiCallable[_planner_service_pb2.ReportOutcomeRequest, _planner_service_pb2.ReportOutcomeResponse]
+    """Says what became of a grasp. Kept in the server's recording, beside its plan; FAILED_PRECONDITION
+    (NO_RECORDING) where the server keeps none, NOT_FOUND (PLAN_NOT_FOUND) for a plan that it does not know (any
+    more). Safe to repeat; another outcome for the same grasp replaces the one before.
+    """
 
 @_typing.type_check_only
 class PlannerServiceAsyncStub(PlannerServiceStub):
@@ -76,6 +81,11 @@ class PlannerServiceAsyncStub(PlannerServiceStub):
     PlanMultiHand: _aio.UnaryStreamMultiCallable[_planner_service_pb2.PlanMultiHandRequest, _planner_service_pb2.PlanMultiHandResponse]  # type: ignore[assignment]
     """One scene, several hands: the frames are sent and read once, each hand's answer comes as soon as it is ready,
     and a summary comes last.
+    """
+    ReportOutcome: _aio.UnaryUnaryMultiCallable[_planner_service_pb2.ReportOutcomeRequest, _planner_service_pb2.ReportOutcomeResponse]  # type: ignore[assignment]
+    """Says what became of a grasp. Kept in the server's recording, beside its plan; FAILED_PRECONDITION
+    (NO_RECORDING) where the server keeps none, NOT_FOUND (PLAN_NOT_FOUND) for a plan that it does not know (any
+    more). Safe to repeat; another outcome for the same grasp replaces the one before.
     """
 
 class PlannerServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -116,6 +126,17 @@ class PlannerServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_planner_service_pb2.PlanMultiHandResponse], _abc.AsyncIterator[_planner_service_pb2.PlanMultiHandResponse]]:
         """One scene, several hands: the frames are sent and read once, each hand's answer comes as soon as it is ready,
         and a summary comes last.
+        """
+
+    @_abc_1.abstractmethod
+    def ReportOutcome(
+        self,
+        request: _planner_service_pb2.ReportOutcomeRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_planner_service_pb2.ReportOutcomeResponse, _abc.Awaitable[_planner_service_pb2.ReportOutcomeResponse]]:
+        """Says what became of a grasp. Kept in the server's recording, beside its plan; FAILED_PRECONDITION
+        (NO_RECORDING) where the server keeps none, NOT_FOUND (PLAN_NOT_FOUND) for a plan that it does not know (any
+        more). Safe to repeat; another outcome for the same grasp replaces the one before.
         """
 
 def add_PlannerServiceServicer_to_server(servicer: PlannerServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...
