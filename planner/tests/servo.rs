@@ -130,7 +130,7 @@ fn says_that_the_object_was_taken_away_and_finds_it_again() {
 }
 
 fn target_of_first(rig: &mut Rig) -> usize {
-    let first = rig.step().unwrap();
+    let first = rig.step().expect("a frame that is looked at");
     target_of(rig, &first)
 }
 

@@ -23,6 +23,7 @@ mod metrics;
 mod scenes;
 mod serve;
 mod service;
+mod servo;
 
 pub use deadline::{CallBudget, CancelOnDrop};
 pub use estimators::Estimators;

@@ -11,6 +11,7 @@ use std::time::Duration;
 use graspd_proto::v1::hand_service_server::HandServiceServer;
 use graspd_proto::v1::info_service_server::InfoServiceServer;
 use graspd_proto::v1::planner_service_server::PlannerServiceServer;
+use graspd_proto::v1::servo_service_server::ServoServiceServer;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -23,7 +24,7 @@ use crate::pool::{Pool, PoolConfig, PoolError};
 use crate::registry::{FolderError, Registry};
 use crate::scenes::Scenes;
 use crate::security::{Acceptor, Access, Limits, Quotas, Tls, TlsError, WrongAccess, accept};
-use crate::service::{CallLayer, Gatekeeper, HandApi, InfoApi, PlannerApi};
+use crate::service::{CallLayer, Gatekeeper, HandApi, InfoApi, PlannerApi, ServoApi};
 
 /// HTTP/2 window of a stream: a whole depth frame, so that it is not throttled by round trips.
 const STREAM_WINDOW_BYTES: u32 = 8 << 20;
@@ -256,6 +257,8 @@ impl Server {
             .max_decoding_message_size(config.max_message_bytes);
         let hands = HandServiceServer::new(HandApi { engine: Arc::clone(&engine) })
             .max_decoding_message_size(config.max_message_bytes);
+        let servo = ServoServiceServer::new(ServoApi::new(Arc::clone(&engine), &config.limits))
+            .max_decoding_message_size(config.max_message_bytes);
         let info = InfoServiceServer::new(InfoApi {
             engine: Arc::clone(&engine),
             max_message_bytes: config.max_message_bytes,
@@ -293,6 +296,7 @@ impl Server {
             // What tools of yesterday ask for.
             .add_service(described().build_v1alpha()?)
             .add_service(planner)
+            .add_service(servo)
             .add_service(hands)
             .add_service(info);
         let watching = acceptor.clone().map(|acceptor| tokio::spawn(acceptor.watch()));
@@ -347,7 +351,9 @@ impl ServerConfig {
 }
 
 async fn set_health(reporter: &HealthReporter, status: ServingStatus) {
-    for service in ["", "graspd.v1.PlannerService", "graspd.v1.HandService", "graspd.v1.InfoService"] {
+    let services = ["PlannerService", "ServoService", "HandService", "InfoService"];
+    reporter.set_service_status("", status).await;
+    for service in services.map(|name| format!("graspd.v1.{name}")) {
         reporter.set_service_status(service, status).await;
     }
 }

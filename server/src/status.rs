@@ -153,6 +153,9 @@ fn mapping(error: &ServiceError) -> Mapping {
         ServiceError::SlowRequest { limit } => {
             Mapping::new(Code::DeadlineExceeded, "SLOW_REQUEST").with("limit_ms", limit.as_millis())
         }
+        ServiceError::Idle { limit, .. } => {
+            Mapping::new(Code::DeadlineExceeded, "IDLE_STREAM").with("limit_ms", limit.as_millis())
+        }
         ServiceError::RequestIdReused => Mapping::new(Code::InvalidArgument, "REQUEST_ID_REUSED")
             .violation("request_id", "found one that was used for another request, expected a new one"),
         ServiceError::Deadline { elapsed, stage } => {
@@ -265,6 +268,11 @@ mod tests {
                 ServiceError::SlowRequest { limit: Duration::from_secs(1) },
                 Code::DeadlineExceeded,
                 "SLOW_REQUEST",
+            ),
+            (
+                ServiceError::Idle { what: "no frame came", limit: Duration::from_secs(1) },
+                Code::DeadlineExceeded,
+                "IDLE_STREAM",
             ),
             (ServiceError::RequestIdReused, Code::InvalidArgument, "REQUEST_ID_REUSED"),
             (ServiceError::Cancelled, Code::Cancelled, "CANCELLED"),
