@@ -150,7 +150,11 @@ impl Default for Metrics {
             "From the arrival of a servo's frame to its answer",
             metrics.servo_frame_seconds.clone(),
         );
-        registry.register("servo_streams", "Servo streams that have not ended", metrics.servo_streams.clone());
+        registry.register(
+            "servo_streams",
+            "Servo streams that have not ended",
+            metrics.servo_streams.clone(),
+        );
         registry.register("queue_depth", "Jobs that wait, by priority", metrics.queue_depth.clone());
         registry.register("jobs_running", "Jobs that run", metrics.running.clone());
         registry.register("slots", "Jobs that can run at the same time", metrics.slots.clone());

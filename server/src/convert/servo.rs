@@ -65,8 +65,7 @@ pub(crate) fn servo_config(wire: v1::ServoConfig) -> Result<ServoRequest, FieldE
     options.standoff.speed_m_s =
         within(wire.standoff_speed_m_s, s.speed_m_s, (0.001, 1.0), "standoff_speed_m_s")?;
     let b = options.bounds;
-    options.bounds.translation_m =
-        within(wire.max_change_m, b.translation_m, (0.0001, 0.1), "max_change_m")?;
+    options.bounds.translation_m = within(wire.max_change_m, b.translation_m, (0.0001, 0.1), "max_change_m")?;
     options.bounds.rotation_rad =
         within(wire.max_change_rad, b.rotation_rad, (0.001, 3.2), "max_change_rad")?;
     let c = options.camera;
@@ -81,9 +80,7 @@ pub(crate) fn servo_config(wire: v1::ServoConfig) -> Result<ServoRequest, FieldE
         wire.hand_from_camera.as_ref().map(|p| pose(Some(p), &at("hand_from_camera"))).transpose()?;
     // A window is never larger than the volume that it is a part of.
     options.window_voxels = options.window_voxels.min(options.scene.grid.resolution / 8 * 8);
-    options
-        .validate()
-        .map_err(|e| FieldError::value(at(e.field), e.found, e.expected))?;
+    options.validate().map_err(|e| FieldError::value(at(e.field), e.found, e.expected))?;
     Ok(ServoRequest { hand_id, estimator, options })
 }
 

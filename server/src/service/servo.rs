@@ -36,8 +36,7 @@ impl ServoApi {
 
 #[tonic::async_trait]
 impl ServoService for ServoApi {
-    type ServoGraspStream =
-        Pin<Box<dyn Stream<Item = Result<v1::ServoGraspResponse, Status>> + Send>>;
+    type ServoGraspStream = Pin<Box<dyn Stream<Item = Result<v1::ServoGraspResponse, Status>> + Send>>;
 
     async fn servo_grasp(
         &self,

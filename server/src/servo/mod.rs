@@ -3,4 +3,4 @@
 mod newest;
 mod stream;
 
-pub(crate) use stream::{Room, ServoStream, Streams};
+pub(crate) use stream::{ServoStream, Streams};

@@ -29,10 +29,7 @@ pub(super) struct Newest<T, E> {
 
 impl<T, E: Clone> Newest<T, E> {
     pub(super) fn new() -> Self {
-        Self {
-            state: Mutex::new(State { waiting: None, replaced: 0, end: None }),
-            changed: Notify::new(),
-        }
+        Self { state: Mutex::new(State { waiting: None, replaced: 0, end: None }), changed: Notify::new() }
     }
 
     /// Something newer has come.

@@ -312,7 +312,8 @@ async fn read(
         let wire = match message {
             Some(Message::Frame(frame)) => frame,
             Some(Message::Config(_)) => {
-                let error = FieldError::value("config", "a second configuration", "one, in the first message");
+                let error =
+                    FieldError::value("config", "a second configuration", "one, in the first message");
                 return newest.end(End::Failed(error.into()));
             }
             None => {

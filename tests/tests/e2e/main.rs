@@ -13,6 +13,7 @@ mod planning;
 mod python;
 mod scheduling;
 mod security;
+mod servo;
 mod streaming;
 mod telemetry;
 

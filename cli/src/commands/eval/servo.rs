@@ -211,7 +211,7 @@ impl ServoObserver for Watcher {
 
     fn tray(&self, tray: &ServoTray) {
         let end = tray.end();
-        self.bar.println(format!(
+        let line = format!(
             "{} {} run {} {}: {} of {} cleared, {} trials, {} successful",
             tray.hand,
             tray.group.name(),
@@ -221,7 +221,13 @@ impl ServoObserver for Watcher {
             end.objects,
             end.trials,
             end.successes
-        ));
+        );
+        if self.bar.is_hidden() {
+            // Nobody watches a bar: a line in a log.
+            writeln!(std::io::stderr(), "{line}").ok();
+        } else {
+            self.bar.println(line);
+        }
         self.bar.inc(1);
     }
 }
