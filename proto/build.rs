@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use prost::Message as _;
 
-const FILES: [&str; 8] = [
+const FILES: [&str; 9] = [
     "graspd/v1/geometry.proto",
     "graspd/v1/frame.proto",
     "graspd/v1/options.proto",
@@ -14,6 +14,7 @@ const FILES: [&str; 8] = [
     "graspd/v1/hand_service.proto",
     "graspd/v1/info_service.proto",
     "graspd/v1/recording.proto",
+    "graspd/v1/servo_service.proto",
 ];
 
 /// Fields that can be megabytes: decoded as views into the received message instead of copies.

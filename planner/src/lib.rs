@@ -5,6 +5,8 @@
 //! [`frame`] → [`volume`] (placed by [`workspace`]) → [`estimator`] gives a [`contact_field`] → [`refine`]
 //! gives features → initialization, optimization and ranking give grasps.
 //!
+//! [`servo`] carries one grasp on from frame to frame while the hand approaches it.
+//!
 //! No sockets, no files, no clock: time and cancellation come in through a [`budget::Budget`] that is
 //! asked. Everything random is seeded; the same input gives the same output on any number of threads.
 //!
@@ -32,5 +34,6 @@ mod random_hand;
 mod rank;
 pub mod refine;
 pub mod scene;
+pub mod servo;
 pub mod volume;
 pub mod workspace;

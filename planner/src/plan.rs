@@ -8,7 +8,7 @@ use crate::grasp::{EmptyReason, NoGrasp, ObjectiveTerms, Plan, PlanStats, Reject
 use crate::hand_model::HandModel;
 use crate::init::Initializer;
 use crate::objective::{Objective, Obstacles, Weights};
-use crate::optimize::{Batch, StepSizes};
+use crate::optimize::{Batch, Candidate, StepSizes};
 use crate::options::{PlanOptions, Target};
 use crate::orientation::Allowed;
 use crate::rank::{self, Directions, Judge, Ranking};
@@ -34,8 +34,21 @@ pub fn plan(
     hand: &Hand,
     options: &PlanOptions,
     budget: &dyn Budget,
-    mut on_better: Option<&mut dyn FnMut(&Plan)>,
+    on_better: Option<&mut dyn FnMut(&Plan)>,
 ) -> Plan {
+    search(scene, hand, options, usize::MAX, budget, on_better).0
+}
+
+/// [`plan`], and the optimized candidate behind the best grasp, for whoever wants to go on with it. Only the `most`
+/// candidates with the lowest objectives are judged.
+pub(crate) fn search(
+    scene: &Scene,
+    hand: &Hand,
+    options: &PlanOptions,
+    most: usize,
+    budget: &dyn Budget,
+    mut on_better: Option<&mut dyn FnMut(&Plan)>,
+) -> (Plan, Option<Candidate>) {
     let features = &scene.features;
     let mut stats = PlanStats {
         focal_contacts: features.focal_contacts.len(),
@@ -45,13 +58,13 @@ pub fn plan(
         ..PlanStats::default()
     };
     if let Some(no_grasp) = nothing_to_grasp(scene) {
-        return Plan { stats, no_grasp: Some(no_grasp), ..Plan::default() };
+        return (Plan { stats, no_grasp: Some(no_grasp), ..Plan::default() }, None);
     }
     let centroids = wanted(scene, options);
     if centroids.is_empty() {
         let nearest_fix = target_fix(scene, options);
         let no_grasp = Some(NoGrasp { reason: EmptyReason::TargetNotFound, nearest_fix });
-        return Plan { stats, no_grasp, ..Plan::default() };
+        return (Plan { stats, no_grasp, ..Plan::default() }, None);
     }
 
     let begin = budget.elapsed();
@@ -100,9 +113,9 @@ pub fn plan(
     let after_optimization = budget.elapsed();
     if [stats.stopped, budget.stop()].contains(&Some(Stop::Cancelled)) {
         stats.stopped = Some(Stop::Cancelled);
-        return Plan { stats, no_grasp: Some(out_of_time()), ..Plan::default() };
+        return (Plan { stats, no_grasp: Some(out_of_time()), ..Plan::default() }, None);
     }
-    let ranking = rank::rank(&judge, &batch.candidates, usize::MAX, budget);
+    let ranking = rank::rank(&judge, &batch.candidates, most, budget);
     // A budget that ends when all is done has cost nothing: it stopped planning only if something was left out.
     if ranking.rejected.contains_key(&RejectReason::Unfinished) {
         stats.stopped = stats.stopped.or_else(|| budget.stop());
@@ -112,7 +125,8 @@ pub fn plan(
     stats.stages.push(("initialize", after_init.saturating_sub(begin)));
     stats.stages.push(("optimize", after_optimization.saturating_sub(after_init)));
     stats.stages.push(("rank", budget.elapsed().saturating_sub(after_optimization)));
-    finish(ranking, stats, &batch, &judge)
+    let best = ranking.best.map(|i| batch.candidates[i].clone());
+    (finish(ranking, stats, &batch, &judge), best)
 }
 
 /// A plan from a ranking.
@@ -146,7 +160,8 @@ fn out_of_time() -> NoGrasp {
     NoGrasp { reason: EmptyReason::OutOfTime, nearest_fix: nearest_fix.into() }
 }
 
-fn obstacles<'a>(
+/// What a hand must not enter in a scene, keep-out boxes included.
+pub(crate) fn obstacles<'a>(
     scene: &'a Scene,
     options: &PlanOptions,
     world_from_volume: &Isometry3<f64>,

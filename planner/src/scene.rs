@@ -140,9 +140,36 @@ pub fn prepare(
     stages.end("frame")?;
 
     let (volume, views) = fuse(frames, &depths, &workspace, options);
+    read(volume, &views, &workspace, &points.world_from_camera, options, estimator, stages)
+}
+
+/// From a fused volume to a scene; `views` are the frames that tell where surfaces lie within voxels, and
+/// `world_from_camera` is where it is looked at from.
+pub(crate) fn of_volume(
+    volume: Volume,
+    views: &[View<'_>],
+    workspace: &Workspace,
+    world_from_camera: &Isometry3<f64>,
+    options: &SceneOptions,
+    estimator: &dyn ContactEstimator,
+    budget: &dyn Budget,
+) -> Result<Scene, SceneError> {
+    read(volume, views, workspace, world_from_camera, options, estimator, Stages::new(budget))
+}
+
+fn read(
+    volume: Volume,
+    views: &[View<'_>],
+    workspace: &Workspace,
+    world_from_camera: &Isometry3<f64>,
+    options: &SceneOptions,
+    estimator: &dyn ContactEstimator,
+    mut stages: Stages<'_>,
+) -> Result<Scene, SceneError> {
+    let budget = stages.budget;
     budget.check().map_err(SceneError::Stopped)?;
     let solid = volume.solid();
-    let surface = volume.surface(&solid, &views);
+    let surface = volume.surface(&solid, views);
     budget.check().map_err(SceneError::Stopped)?;
     let objects = volume.object_groups(&solid);
     let observation = observe(&volume, &objects);
@@ -158,16 +185,15 @@ pub fn prepare(
     let labels = volume.voxel_labels();
     let features = refine_within(&contact_field, &solid, &surface, volume.table_m, labels, options, budget)
         .map_err(SceneError::Stopped)?;
-    let world_from_camera = points.world_from_camera;
     let eye = (workspace.world_from_volume.inverse() * world_from_camera) * Point3::origin();
     let view_direction = view_direction(&workspace.grid, &objects, &eye);
     stages.end("refine")?;
     Ok(Scene {
-        workspace,
+        workspace: *workspace,
         volume,
         contact_field,
         features,
-        world_from_camera,
+        world_from_camera: *world_from_camera,
         view_direction,
         observation,
         objects,

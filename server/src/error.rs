@@ -233,6 +233,14 @@ pub enum ServiceError {
         /// Time for it.
         limit: Duration,
     },
+    /// Nothing has come in a stream, or nobody has read from it, for too long.
+    #[error("the stream was idle: {what} for {limit:?}")]
+    Idle {
+        /// What did not happen.
+        what: &'static str,
+        /// For how long.
+        limit: Duration,
+    },
     /// The server is shutting down.
     #[error("the server is shutting down")]
     Draining,
@@ -247,8 +255,8 @@ pub enum ServiceError {
     },
     /// There is no such method.
     #[error(
-        "method {path:?}: not found; this server has graspd.v1.PlannerService, graspd.v1.HandService and \
-         graspd.v1.InfoService"
+        "method {path:?}: not found; this server has graspd.v1.PlannerService, graspd.v1.ServoService, \
+         graspd.v1.HandService and graspd.v1.InfoService"
     )]
     UnknownMethod {
         /// Path of the method as asked for.

@@ -27,6 +27,7 @@ mod recorder;
 mod scenes;
 mod serve;
 mod service;
+mod servo;
 mod trace;
 
 pub use deadline::{CallBudget, CancelOnDrop};

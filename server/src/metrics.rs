@@ -34,6 +34,11 @@ struct Reason {
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Outcome {
+    outcome: &'static str,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Stage {
     stage: &'static str,
 }
@@ -93,6 +98,9 @@ pub(crate) struct Metrics {
     stage_seconds: Times<Stage>,
     queue_seconds: Times<ByPriority>,
     plans: Family<Plan, Counter>,
+    servo_frames: Family<Outcome, Counter>,
+    servo_frame_seconds: Histogram,
+    servo_streams: Gauge,
     queue_depth: Family<ByPriority, Gauge>,
     running: Gauge,
     slots: Gauge,
@@ -116,6 +124,9 @@ impl Default for Metrics {
             stage_seconds: Family::new_with_constructor(times),
             queue_seconds: Family::new_with_constructor(times),
             plans: Family::default(),
+            servo_frames: Family::default(),
+            servo_frame_seconds: times(),
+            servo_streams: Gauge::default(),
             queue_depth: Family::default(),
             running: Gauge::default(),
             slots: Gauge::default(),
@@ -147,6 +158,21 @@ impl Default for Metrics {
             metrics.queue_seconds.clone(),
         );
         registry.register("plans", "Plans that ended, by hand and outcome", metrics.plans.clone());
+        registry.register(
+            "servo_frames",
+            "Frames of servo streams, by what became of them",
+            metrics.servo_frames.clone(),
+        );
+        registry.register(
+            "servo_frame_seconds",
+            "From the arrival of a servo's frame to its answer",
+            metrics.servo_frame_seconds.clone(),
+        );
+        registry.register(
+            "servo_streams",
+            "Servo streams that have not ended",
+            metrics.servo_streams.clone(),
+        );
         registry.register("queue_depth", "Jobs that wait, by priority", metrics.queue_depth.clone());
         registry.register("jobs_running", "Jobs that run", metrics.running.clone());
         registry.register("slots", "Jobs that can run at the same time", metrics.slots.clone());
@@ -234,6 +260,23 @@ impl Metrics {
         self.recording_bytes.set(i64::try_from(bytes).unwrap_or(i64::MAX));
     }
 
+    /// A servo stream begins, or ends.
+    pub(crate) fn servo_stream(&self, begins: bool) {
+        self.servo_streams.inc_by(if begins { 1 } else { -1 });
+    }
+
+    /// A frame of a servo stream was answered after so long.
+    pub(crate) fn servo_answered(&self, age: Duration) {
+        self.servo_frame_seconds.observe(age.as_secs_f64());
+    }
+
+    /// This became of so many frames of servo streams.
+    pub(crate) fn servo_frames(&self, outcome: &'static str, count: u64) {
+        if count > 0 {
+            self.servo_frames.get_or_create(&Outcome { outcome }).inc_by(count);
+        }
+    }
+
     /// Everything as text, with what the pool does right now.
     pub(crate) fn encode(&self, pool: &Pool, scenes_read: u64, ready: bool) -> String {
         let as_gauge = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
@@ -265,6 +308,7 @@ fn method(path: &str) -> &'static str {
         "/graspd.v1.PlannerService/StreamGrasps",
         "/graspd.v1.PlannerService/PlanMultiHand",
         "/graspd.v1.PlannerService/ReportOutcome",
+        "/graspd.v1.ServoService/ServoGrasp",
         "/graspd.v1.HandService/ListHands",
         "/graspd.v1.HandService/GetHand",
         "/graspd.v1.HandService/CreateHand",

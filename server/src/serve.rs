@@ -11,6 +11,7 @@ use std::time::Duration;
 use graspd_proto::v1::hand_service_server::HandServiceServer;
 use graspd_proto::v1::info_service_server::InfoServiceServer;
 use graspd_proto::v1::planner_service_server::PlannerServiceServer;
+use graspd_proto::v1::servo_service_server::ServoServiceServer;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -27,7 +28,7 @@ use crate::recorder::{RecordConfig, Recorder};
 use crate::registry::{FolderError, Registry};
 use crate::scenes::Scenes;
 use crate::security::{Acceptor, Access, Limits, Quotas, Tls, TlsError, WrongAccess, accept};
-use crate::service::{CallLayer, Gatekeeper, HandApi, InfoApi, PlannerApi};
+use crate::service::{CallLayer, Gatekeeper, HandApi, InfoApi, PlannerApi, ServoApi};
 use crate::trace::{Tracer, WrongCollector};
 
 /// HTTP/2 window of a stream: a whole depth frame, so that it is not throttled by round trips.
@@ -303,6 +304,8 @@ impl Server {
             .max_decoding_message_size(config.max_message_bytes);
         let hands = HandServiceServer::new(HandApi { engine: Arc::clone(&engine) })
             .max_decoding_message_size(config.max_message_bytes);
+        let servo = ServoServiceServer::new(ServoApi::new(Arc::clone(&engine), &config.limits))
+            .max_decoding_message_size(config.max_message_bytes);
         let info = InfoServiceServer::new(InfoApi {
             engine: Arc::clone(&engine),
             max_message_bytes: config.max_message_bytes,
@@ -343,6 +346,7 @@ impl Server {
             // What tools of yesterday ask for.
             .add_service(described().build_v1alpha()?)
             .add_service(planner)
+            .add_service(servo)
             .add_service(hands)
             .add_service(info);
         let watching = acceptor.clone().map(|acceptor| tokio::spawn(acceptor.watch()));

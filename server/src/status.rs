@@ -158,6 +158,9 @@ fn mapping(error: &ServiceError) -> Mapping {
         ServiceError::SlowRequest { limit } => {
             Mapping::new(Code::DeadlineExceeded, "SLOW_REQUEST").with("limit_ms", limit.as_millis())
         }
+        ServiceError::Idle { limit, .. } => {
+            Mapping::new(Code::DeadlineExceeded, "IDLE_STREAM").with("limit_ms", limit.as_millis())
+        }
         ServiceError::RequestIdReused => Mapping::new(Code::InvalidArgument, "REQUEST_ID_REUSED")
             .violation("request_id", "found one that was used for another request, expected a new one"),
         ServiceError::UnknownPlan { id } => Mapping::new(Code::NotFound, "PLAN_NOT_FOUND").resource(
@@ -282,6 +285,11 @@ mod tests {
                 ServiceError::SlowRequest { limit: Duration::from_secs(1) },
                 Code::DeadlineExceeded,
                 "SLOW_REQUEST",
+            ),
+            (
+                ServiceError::Idle { what: "no frame came", limit: Duration::from_secs(1) },
+                Code::DeadlineExceeded,
+                "IDLE_STREAM",
             ),
             (ServiceError::RequestIdReused, Code::InvalidArgument, "REQUEST_ID_REUSED"),
             (ServiceError::UnknownPlan { id: text() }, Code::NotFound, "PLAN_NOT_FOUND"),

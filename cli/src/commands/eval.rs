@@ -6,6 +6,7 @@ mod contacts;
 mod look;
 mod objects;
 mod precision;
+mod servo;
 mod thresholds;
 
 use std::sync::Arc;
@@ -29,6 +30,7 @@ pub(crate) struct EvalArgs {
 enum What {
     Clear(clear::ClearArgs),
     Ap(ap::ApArgs),
+    Servo(servo::ServoArgs),
     Look(look::LookArgs),
     Contacts(contacts::ContactsArgs),
     Thresholds(thresholds::ThresholdsArgs),
@@ -42,6 +44,7 @@ pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     match &args.what {
         What::Clear(args) => clear::run(args),
         What::Ap(args) => ap::run(args),
+        What::Servo(args) => servo::run(args),
         What::Look(args) => look::run(args),
         What::Contacts(args) => contacts::run(args),
         What::Thresholds(args) => thresholds::run(args),

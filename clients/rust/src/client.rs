@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use graspd_proto::v1::hand_service_client::HandServiceClient;
 use graspd_proto::v1::planner_service_client::PlannerServiceClient;
+use graspd_proto::v1::servo_service_client::ServoServiceClient;
 use graspd_proto::v1::{PlanGraspsRequest, PlanGraspsResponse, PlanMultiHandRequest, StreamGraspsRequest};
 use graspd_proto::v1::{ReportOutcomeRequest, ReportOutcomeResponse};
 use tonic::Request;
@@ -102,6 +103,7 @@ impl ClientConfig {
 pub struct Client {
     planner: PlannerServiceClient<Channel>,
     pub(crate) hands: HandServiceClient<Channel>,
+    pub(crate) servo: ServoServiceClient<Channel>,
     pub(crate) call_timeout: Duration,
     pub(crate) retry: RetryPolicy,
     authorization: Option<MetadataValue<Ascii>>,
@@ -148,6 +150,8 @@ impl Client {
         Ok(Self {
             planner: PlannerServiceClient::new(channel.clone())
                 .max_decoding_message_size(config.max_message_bytes),
+            servo: ServoServiceClient::new(channel.clone())
+                .max_decoding_message_size(config.max_message_bytes),
             hands: HandServiceClient::new(channel).max_decoding_message_size(config.max_message_bytes),
             call_timeout: config.call_timeout,
             retry: config.retry,
@@ -171,6 +175,11 @@ impl Client {
     pub(crate) fn timed<T>(&self, message: T, left: Duration) -> Request<T> {
         let mut request = Request::new(message);
         request.set_timeout(left);
+        self.authorized(request)
+    }
+
+    /// A request that tells the server who its caller is.
+    pub(crate) fn authorized<T>(&self, mut request: Request<T>) -> Request<T> {
         if let Some(authorization) = &self.authorization {
             request.metadata_mut().insert("authorization", authorization.clone());
         }

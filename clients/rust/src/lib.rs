@@ -20,6 +20,7 @@ mod error;
 mod frame;
 mod hands;
 mod retry;
+mod servo;
 mod stream;
 
 pub use client::{Client, ClientConfig, ClientTls, Secret, Token};
@@ -29,9 +30,11 @@ pub use frame::{depth_frame_f32, depth_frame_u16};
 pub use graspd_proto::v1 as wire;
 pub use graspd_proto::v1::{
     CameraIntrinsics, DepthFrame, Grasp, GraspOutcome, Hand, HandTask, PlanGraspsRequest, PlanGraspsResponse,
-    PlanMultiHandRequest, PlanOptions, ReportOutcomeRequest, SceneOptions,
+    PlanMultiHandRequest, PlanOptions, ReportOutcomeRequest, SceneOptions, ServoConfig, ServoFrame,
+    ServoGraspResponse, ServoState,
 };
 pub use hands::CreatedHand;
 pub use retry::RetryPolicy;
+pub use servo::{ServoAnswers, ServoFrames, ServoStream};
 pub use stream::{GraspEvent, GraspStream, MultiHandEvent, MultiHandStream};
 pub use tonic::Code;

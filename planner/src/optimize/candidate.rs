@@ -38,7 +38,12 @@ pub(crate) struct Candidate {
     gradient: Vec<f64>,
     rng: Xoshiro256PlusPlus,
     iteration: usize,
+    /// Share of the step length that a refinement begins with.
+    trust: f64,
 }
+
+/// Shares of the step length between which refinements move.
+const TRUST: (f64, f64) = (0.05, 1.0);
 
 impl Candidate {
     pub(crate) fn new(
@@ -66,7 +71,49 @@ impl Candidate {
             gradient: vec![0.0; dimension],
             rng,
             iteration: 0,
+            trust: 0.5,
         }
+    }
+
+    /// Goes on from the best so far in fields that may have changed: so many iterations with penetration and without
+    /// noise, of which the best is kept; so it never gets worse in the new fields. Steps grow while they
+    /// help and shrink while they do not, so that a candidate at rest stays at rest. Does not allocate.
+    pub(crate) fn refine(
+        &mut self,
+        objective: &Objective<'_>,
+        allowed: &Allowed,
+        sizes: &StepSizes,
+        lengths: &[f64],
+        iterations: usize,
+        scratch: &mut Scratch,
+    ) {
+        scratch.contacts.share.copy_from_slice(&self.shares);
+        self.current.copy_from(&self.best);
+        let mut has_improved = false;
+        for k in 0..=iterations {
+            let terms = objective.evaluate(&self.current, &self.reaching, true, scratch, &mut self.gradient);
+            if k == 0 {
+                self.terms = terms;
+            } else if terms.total < self.terms.total {
+                self.best.copy_from(&self.current);
+                self.terms = terms;
+                has_improved = true;
+            }
+            if k == iterations {
+                break;
+            }
+            self.adam.step(sizes, lengths, self.trust, &mut self.gradient);
+            self.current.step(objective.model, &self.gradient);
+            self.current.clamp_coordinates(objective.model);
+            allowed.enforce(objective.model, &self.reaching, &mut self.current);
+        }
+        self.trust = (self.trust * if has_improved { 1.5 } else { 0.5 }).clamp(TRUST.0, TRUST.1);
+    }
+
+    /// Moves the candidate: its frame of reference has moved by as much the other way, or what it holds on to has moved.
+    pub(crate) fn translate(&mut self, by: &Vector3<f64>) {
+        self.best.translation += by;
+        self.current.translation += by;
     }
 
     /// False while not a single iteration has been done.

@@ -9,6 +9,7 @@ mod adam;
 mod candidate;
 
 pub use adam::StepSizes;
+pub(crate) use adam::lengths;
 pub(crate) use candidate::Candidate;
 
 use rayon::prelude::*;

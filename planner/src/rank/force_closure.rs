@@ -5,6 +5,8 @@
 //! friction cones, so no cone is approximated by edges; the radius is the smallest support over unit
 //! directions, searched from fixed directions and refined downhill. Each value found is an upper bound.
 
+use std::sync::Arc;
+
 use nalgebra::{Vector3, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -24,9 +26,9 @@ pub(crate) struct Push {
     pub(crate) inward: Vector3<f64>,
 }
 
-/// The fixed directions of the search; made once per ranking.
+/// The fixed directions of the search; made once per ranking, cheap to clone.
 #[derive(Debug, Clone)]
-pub(crate) struct Directions(Vec<Vector6<f64>>);
+pub(crate) struct Directions(Arc<[Vector6<f64>]>);
 
 impl Directions {
     pub(crate) fn new() -> Self {
@@ -39,7 +41,7 @@ impl Directions {
                 all.push(v.normalize());
             }
         }
-        Self(all)
+        Self(all.into())
     }
 }
 

@@ -7,6 +7,10 @@ use rayon::prelude::*;
 use super::{Labels, SURFACE_BAND_VOXELS, TRUNCATION_VOXELS, Volume, VoxelState};
 use crate::frame::{Frame, Intrinsics};
 
+/// A measurement that differs from what is remembered by more than this share of the truncation (2 cm) says that the world
+/// has changed there, not that one of both is noisy.
+const CHANGED: f32 = 0.5;
+
 /// Nearer than this no sensor measures, metres.
 const NEAR_M: f32 = 0.02;
 
@@ -43,6 +47,21 @@ impl Volume {
     ///
     /// The frame must have passed [`Frame::validate`]; a depth image of another size is ignored.
     pub fn integrate(&mut self, frame: &Frame, depth: &[f32], camera_from_volume: &Isometry3<f64>) {
+        self.fuse(frame, depth, camera_from_volume, u16::MAX);
+    }
+
+    /// Fuses one frame of many, of a world that may change: what was seen before counts as at most `memory` frames, so
+    /// that old measurements fade, and where a voxel is now seen to be clearly something else, as one. A voxel that was
+    /// surface and is now looked through is free at once; one that was free becomes surface within a few frames. What is
+    /// hidden is remembered as it was.
+    ///
+    /// Otherwise as [`integrate`](Self::integrate).
+    pub fn update(&mut self, frame: &Frame, depth: &[f32], camera_from_volume: &Isometry3<f64>, memory: u16) {
+        // The largest number means that nothing is forgotten.
+        self.fuse(frame, depth, camera_from_volume, memory.clamp(1, u16::MAX - 1));
+    }
+
+    fn fuse(&mut self, frame: &Frame, depth: &[f32], camera_from_volume: &Isometry3<f64>, memory: u16) {
         let (width, height) = (frame.image.width, frame.image.height);
         if depth.len() != width * height || depth.is_empty() || self.grid.is_empty() {
             return;
@@ -84,6 +103,10 @@ impl Volume {
                                 continue;
                             }
                             let value = value.min(1.0);
+                            if memory < u16::MAX {
+                                let has_changed = (value - *mean).abs() > CHANGED;
+                                *weight = (*weight).min(if has_changed { 1 } else { memory });
+                            }
                             *mean += (value - *mean) / (f32::from(*weight) + 1.0);
                             *weight = weight.saturating_add(1);
                             *state = state_of(*mean, band);

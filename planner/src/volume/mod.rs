@@ -6,6 +6,7 @@
 
 mod encode;
 mod integrate;
+mod moving;
 mod solid;
 mod surface;
 

@@ -4,6 +4,7 @@ mod placing;
 mod plane;
 mod points;
 
+pub(crate) use placing::table_height;
 pub use plane::{Plane, find_table};
 pub use points::{FramePoints, frame_points};
 

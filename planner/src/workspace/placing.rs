@@ -259,7 +259,7 @@ pub(super) fn around_median(points: &FramePoints, size_m: f64) -> Isometry3<f64>
 }
 
 /// Height of the lowest large horizontal surface in a placed cube, metres above its floor.
-pub(super) fn table_height(
+pub(crate) fn table_height(
     points: &FramePoints,
     world_from_volume: &Isometry3<f64>,
     size_m: f64,

@@ -43,9 +43,18 @@ pub(crate) fn look_at(objects: &[Object]) -> Frame {
     let axes = Matrix3::from_columns(&[x, z.cross(&x), z]);
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     let world_from_camera = Isometry3::from_parts(eye.coords.into(), rotation);
-    let (width, height) = (640, 480);
-    let intrinsics =
-        Intrinsics { fx_px: 610.0, fy_px: 610.0, cx_px: 319.5, cy_px: 239.5, distortion: [0.0; 8] };
+    let lens = Intrinsics { fx_px: 610.0, fy_px: 610.0, cx_px: 319.5, cy_px: 239.5, distortion: [0.0; 8] };
+    look_from(objects, &world_from_camera, lens, [640, 480])
+}
+
+/// A picture of objects on the table z = 0 from anywhere.
+pub(crate) fn look_from(
+    objects: &[Object],
+    world_from_camera: &Isometry3<f64>,
+    intrinsics: Intrinsics,
+    [width, height]: [usize; 2],
+) -> Frame {
+    let eye = Point3::from(world_from_camera.translation.vector);
     let depth_m = (0..width * height)
         .map(|i| {
             let u = ((i % width) as f64 - intrinsics.cx_px) / intrinsics.fx_px;
@@ -57,5 +66,5 @@ pub(crate) fn look_at(objects: &[Object]) -> Frame {
         })
         .collect();
     let image = DepthImage { width, height, depth_m };
-    Frame { image, intrinsics, world_from_camera: Some(world_from_camera), labels: None }
+    Frame { image, intrinsics, world_from_camera: Some(*world_from_camera), labels: None }
 }

@@ -86,7 +86,8 @@ pub(crate) fn out_of_time_response(context: &PlanContext<'_>) -> v1::PlanGraspsR
     }
 }
 
-fn grasp_message(grasp: &Grasp, context: &PlanContext<'_>) -> v1::Grasp {
+/// A grasp on the wire.
+pub(super) fn grasp_message(grasp: &Grasp, context: &PlanContext<'_>) -> v1::Grasp {
     let hand = context.hand;
     let camera_from_world = grasp.camera_from_hand * grasp.world_from_hand.inverse();
     let camera_from_pregrasp = camera_from_world * grasp.world_from_pregrasp;

@@ -10,12 +10,14 @@ mod hand;
 mod hand_geometry;
 mod options;
 mod request;
+mod servo;
 
 pub(crate) use frame::EncodedFrame;
 pub(crate) use grasp::{PlanContext, out_of_time_response, plan_response};
 pub(crate) use hand::{hand_id, hand_message, hand_name};
 pub(crate) use hand_geometry::geometry_message;
 pub(crate) use request::{HandJob, Parsed, SceneRequest, multi_hand, plan_grasps, report_outcome};
+pub(crate) use servo::{EncodedServoFrame, ServoWords, servo_answer, servo_config};
 
 use std::fmt::Display;
 use std::time::Duration;

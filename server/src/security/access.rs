@@ -48,6 +48,7 @@ impl Role {
             | "/graspd.v1.InfoService/GetServerInfo" => Self::Viewer,
             path if path.starts_with("/grpc.reflection.") => Self::Viewer,
             path if path.starts_with("/graspd.v1.PlannerService/") => Self::Controller,
+            "/graspd.v1.ServoService/ServoGrasp" => Self::Controller,
             _ => Self::Operator,
         }
     }
@@ -278,6 +279,7 @@ mod tests {
             ("/graspd.v1.PlannerService/PlanGrasps", Role::Controller),
             ("/graspd.v1.PlannerService/StreamGrasps", Role::Controller),
             ("/graspd.v1.PlannerService/PlanMultiHand", Role::Controller),
+            ("/graspd.v1.ServoService/ServoGrasp", Role::Controller),
             ("/graspd.v1.Nothing/Nothing", Role::Operator),
             ("/", Role::Operator),
         ];

@@ -21,12 +21,21 @@ pub(crate) struct ReceivedBody {
     used: Arc<Use>,
     limit: Duration,
     late: Pin<Box<Sleep>>,
+    /// One of many messages that are let go one by one: its time begins anew with each piece, and what has arrived
+    /// before is not held any more.
+    is_stream: bool,
 }
 
 impl ReceivedBody {
     /// A body that must have arrived in that time.
     pub(crate) fn new(inner: Body, used: Arc<Use>, limit: Duration) -> Self {
-        Self { inner, used, limit, late: Box::pin(tokio::time::sleep(limit)) }
+        Self { inner, used, limit, late: Box::pin(tokio::time::sleep(limit)), is_stream: false }
+    }
+
+    /// The body of a stream of requests, in which something must arrive in that time, again and again. How much of it is
+    /// held is for the service to limit.
+    pub(crate) fn stream(inner: Body, used: Arc<Use>, limit: Duration) -> Self {
+        Self { is_stream: true, ..Self::new(inner, used, limit) }
     }
 }
 
@@ -39,6 +48,11 @@ impl HttpBody for ReceivedBody {
         context: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
         match Pin::new(&mut self.inner).poll_frame(context) {
+            Poll::Ready(Some(Ok(frame))) if self.is_stream => {
+                let due = tokio::time::Instant::now() + self.limit;
+                self.late.as_mut().reset(due);
+                Poll::Ready(Some(Ok(frame)))
+            }
             Poll::Ready(Some(Ok(frame))) => {
                 if let Some(data) = frame.data_ref()
                     && let Err(over) = self.used.receive(data.len())

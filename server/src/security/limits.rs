@@ -25,6 +25,10 @@ pub struct Limits {
     pub bytes_per_caller: u64,
     /// Hands that one caller may send in a minute. Default 60.
     pub uploads_per_minute: usize,
+    /// Servo streams of all callers at the same time. Default 8.
+    pub servo_streams: usize,
+    /// A servo stream in which nothing arrives, or whose answers nobody reads, for so long is ended. Default 10 s.
+    pub servo_idle: Duration,
 }
 
 impl Default for Limits {
@@ -38,6 +42,8 @@ impl Default for Limits {
             calls_per_caller: 256,
             bytes_per_caller: 512 << 20,
             uploads_per_minute: 60,
+            servo_streams: 8,
+            servo_idle: Duration::from_secs(10),
         }
     }
 }

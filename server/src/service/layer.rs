@@ -30,6 +30,8 @@ use crate::trace::Tracer;
 const OWN_PATHS: &str = "/graspd.";
 /// Whoever watches over servers needs no token.
 const HEALTH_PATHS: &str = "/grpc.health.v1.Health/";
+/// The method whose requests are a stream without an end of their own.
+const SERVO: &str = "/graspd.v1.ServoService/ServoGrasp";
 /// The method that counts as an upload.
 const UPLOAD: &str = "/graspd.v1.HandService/CreateHand";
 
@@ -184,7 +186,10 @@ where
         let receive = self.gatekeeper.receive;
         request.extensions_mut().insert(clock);
         request.extensions_mut().insert(identity.caller);
-        let request = request.map(|body| Body::new(ReceivedBody::new(body, used, receive)));
+        let request = request.map(|body| {
+            let received = if path == SERVO { ReceivedBody::stream } else { ReceivedBody::new };
+            Body::new(received(body, used, receive))
+        });
         let answer = self.inner.call(request);
         Box::pin(
             async move {

@@ -4,11 +4,13 @@ mod hands;
 mod info;
 mod layer;
 mod planner;
+mod servo;
 
 pub(crate) use hands::HandApi;
 pub(crate) use info::InfoApi;
 pub(crate) use layer::{CallLayer, Gatekeeper};
 pub(crate) use planner::PlannerApi;
+pub(crate) use servo::ServoApi;
 
 use std::time::Instant;
 

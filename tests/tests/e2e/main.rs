@@ -14,6 +14,7 @@ mod python;
 mod recording;
 mod scheduling;
 mod security;
+mod servo;
 mod streaming;
 mod telemetry;
 

@@ -22,7 +22,7 @@ use tonic_health::pb::health_client::HealthClient;
 use crate::{GRIPPER, call_error, request, request_with};
 
 /// The status line and the body of a GET.
-async fn get(addr: SocketAddr, path: &str) -> (String, String) {
+pub(crate) async fn get(addr: SocketAddr, path: &str) -> (String, String) {
     let mut stream = TcpStream::connect(addr).await.unwrap();
     let request = format!("GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n");
     stream.write_all(request.as_bytes()).await.unwrap();

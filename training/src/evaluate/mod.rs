@@ -16,6 +16,9 @@ mod report;
 // Average precision of the parallel jaw.
 pub mod ap;
 
+// Dynamic against static grasping.
+pub mod servo;
+
 // How well networks find contacts.
 pub mod contacts;
 

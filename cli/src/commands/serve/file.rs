@@ -70,6 +70,8 @@ struct LimitsTable {
     calls_per_caller: Option<u32>,
     mib_per_caller: Option<u32>,
     uploads_per_minute: Option<u32>,
+    servo_streams: Option<u32>,
+    servo_idle_seconds: Option<f64>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -170,6 +172,10 @@ fn limits(config: &mut ServerConfig, file: &LimitsTable) -> anyhow::Result<()> {
     )?;
     set(&mut limits.calls_per_caller, "limits.calls_per_caller", file.calls_per_caller, (1, 1_000_000))?;
     set(&mut limits.uploads_per_minute, "limits.uploads_per_minute", file.uploads_per_minute, (0, 100_000))?;
+    set(&mut limits.servo_streams, "limits.servo_streams", file.servo_streams, (0, 10_000))?;
+    if let Some(given) = file.servo_idle_seconds {
+        limits.servo_idle = seconds("limits.servo_idle_seconds", given, 0.01)?;
+    }
     let (mut message_mib, mut mib, mut kib) = (16, 512, 16);
     set(&mut message_mib, "limits.message_mib", file.message_mib, (1, 1024))?;
     set(&mut mib, "limits.mib_per_caller", file.mib_per_caller, (1, 1 << 20))?;

@@ -1,0 +1,227 @@
+//! The servo from its first frame to the grasp: what it follows, what it notices, what it refuses.
+
+#[allow(dead_code)] // other tests use the rest
+mod clutter;
+mod palm;
+
+use graspd_planner::budget::Unlimited;
+use graspd_planner::servo::{Answer, Bounds, Loss, Refused, Replan, ServoOptions, State};
+use nalgebra::Isometry3;
+use palm::{Rig, middle};
+
+use clutter::Object;
+
+/// Five objects with room between them.
+fn few() -> Vec<Object> {
+    vec![
+        ([0.0, 0.0], 0.022, false),
+        ([0.12, 0.02], 0.025, true),
+        ([-0.12, 0.03], 0.02, false),
+        ([0.02, 0.12], 0.024, true),
+        ([-0.05, -0.12], 0.02, false),
+    ]
+}
+
+/// The object that a grasp is at.
+fn target_of(rig: &Rig, answer: &Answer) -> usize {
+    let at = answer.grasp.as_ref().expect("a grasp").centroid;
+    let apart = |i: &usize| (middle(&rig.objects[*i]) - at).xy().norm();
+    (0..rig.objects.len()).min_by(|a, b| apart(a).total_cmp(&apart(b))).expect("objects")
+}
+
+/// Frames until the hand may go in.
+fn until_go(rig: &mut Rig, most: usize) -> Vec<Answer> {
+    let mut answers = Vec::new();
+    for _ in 0..most {
+        answers.push(rig.step().expect("a frame that is looked at"));
+        if answers.last().is_some_and(|a| a.go) {
+            return answers;
+        }
+    }
+    let tail: Vec<_> = answers.iter().rev().take(5).map(|a| (a.state, a.standoff_m, a.visible)).collect();
+    panic!("never goes in; last: {tail:?}");
+}
+
+fn bounded(answers: &[Answer], bounds: &Bounds) {
+    for a in answers.iter().filter(|a| a.state == State::Tracking) {
+        let c = &a.change;
+        assert!(
+            c.translation_m <= bounds.translation_m + 1e-9 && c.rotation_rad <= bounds.rotation_rad + 1e-9,
+            "frame {}: {c:?}",
+            a.sequence
+        );
+    }
+}
+
+#[test]
+fn comes_nearer_smoothly_and_goes_in_at_the_object() {
+    for hand in ["robotiq-2f85", "robotiq-3f", "leap"] {
+        let options = ServoOptions::default();
+        let mut rig = Rig::new(hand, few(), options.clone());
+        let answers = until_go(&mut rig, 300);
+        assert_eq!(answers[0].state, State::Replanning(Replan::First), "{hand}");
+        assert_eq!(answers[0].standoff_m, options.standoff.start_m);
+        bounded(&answers, &options.bounds);
+        let tracking = answers.iter().filter(|a| a.state == State::Tracking).count();
+        assert!(10 * tracking >= 8 * answers.len(), "{hand}: {tracking} of {}", answers.len());
+        let last = answers.last().unwrap();
+        assert!(last.is_settled && last.state == State::Tracking);
+        assert_eq!(last.standoff_m, options.standoff.end_m);
+        let at = last.grasp.as_ref().unwrap().centroid;
+        let apart = (middle(&rig.objects[target_of(&rig, last)]) - at).xy().norm();
+        assert!(apart < 0.012, "{hand}: {apart} m from the object's middle");
+    }
+}
+
+#[test]
+fn follows_a_nudged_object() {
+    let mut rig = Rig::new("robotiq-3f", few(), ServoOptions::default());
+    let first = rig.step().unwrap();
+    let target = target_of(&rig, &first);
+    for _ in 0..20 {
+        rig.step().unwrap();
+    }
+    rig.objects[target].0[0] += 0.02;
+    rig.objects[target].0[1] -= 0.015;
+    let answers = until_go(&mut rig, 300);
+    bounded(&answers, &ServoOptions::default().bounds);
+    let at = answers.last().unwrap().grasp.as_ref().unwrap().centroid;
+    let apart = (middle(&rig.objects[target]) - at).xy().norm();
+    assert!(apart < 0.014, "{apart} m from where the object is now");
+}
+
+#[test]
+fn announces_that_it_plans_anew_where_the_object_has_gone_further() {
+    let mut rig = Rig::new("robotiq-3f", few()[..1].to_vec(), ServoOptions::default());
+    for _ in 0..20 {
+        rig.step().unwrap();
+    }
+    rig.objects[0].0 = [0.07, 0.02];
+    let answers = until_go(&mut rig, 300);
+    assert!(
+        answers.iter().any(|a| a.state == State::Replanning(Replan::TargetMoved)),
+        "{:?}",
+        answers.iter().map(|a| a.state).collect::<Vec<_>>()
+    );
+    let last = answers.last().unwrap();
+    let apart = (middle(&rig.objects[0]) - last.grasp.as_ref().unwrap().centroid).xy().norm();
+    assert!(apart < 0.014, "{apart} m from where the object is now");
+    assert!(last.counters.replanned >= 2);
+}
+
+#[test]
+fn says_that_the_object_was_taken_away_and_finds_it_again() {
+    let mut rig = Rig::new("robotiq-3f", few(), ServoOptions::default());
+    let target = target_of_first(&mut rig);
+    for _ in 0..15 {
+        rig.step().unwrap();
+    }
+    let taken = rig.objects.remove(target);
+    let lost = (0..20).find_map(|_| match rig.step().unwrap() {
+        a if matches!(a.state, State::Lost(_)) => Some(a),
+        _ => None,
+    });
+    let lost = lost.expect("the loss is noticed");
+    assert_eq!(lost.state, State::Lost(Loss::TargetGone));
+    assert!(!lost.go);
+    rig.objects.push(taken);
+    let again = (0..30).map(|_| rig.step().unwrap().state).find(|s| !matches!(s, State::Lost(_)));
+    assert_eq!(again, Some(State::Replanning(Replan::FoundAgain)));
+}
+
+fn target_of_first(rig: &mut Rig) -> usize {
+    let first = rig.step().expect("a frame that is looked at");
+    target_of(rig, &first)
+}
+
+#[test]
+fn a_target_that_stays_hidden_is_lost() {
+    let mut rig = Rig::new("robotiq-3f", few(), ServoOptions::default());
+    for _ in 0..10 {
+        rig.step().unwrap();
+    }
+    // A hand right before the camera: nothing but holes behind it.
+    let states: Vec<State> = (0..60)
+        .map(|_| {
+            let mut frame = rig.frame();
+            frame.frame.image.depth_m.fill(0.0);
+            let answer = rig.servo.step(frame, &Unlimited).unwrap();
+            assert!(!answer.go && answer.visible == 0.0);
+            answer.state
+        })
+        .collect();
+    assert_eq!(states[0], State::Tracking, "a moment is bridged");
+    assert_eq!(*states.last().unwrap(), State::Lost(Loss::Hidden));
+}
+
+#[test]
+fn refuses_frames_that_are_late_repeated_wild_or_broken_and_counts_them() {
+    let mut rig = Rig::new("robotiq-2f85", few(), ServoOptions::default());
+    let first = rig.frame();
+    rig.servo.step(first.clone(), &Unlimited).unwrap();
+    assert!(matches!(rig.servo.step(first.clone(), &Unlimited), Err(Refused::Repeated { sequence: 1 })));
+    rig.step().unwrap();
+    assert!(matches!(rig.servo.step(first, &Unlimited), Err(Refused::Late { sequence: 1, answered: 2 })));
+    let mut wild = rig.frame();
+    wild.frame.world_from_camera = Some(Isometry3::translation(5.0, 0.0, 1.0));
+    assert!(matches!(rig.servo.step(wild, &Unlimited), Err(Refused::WildPose { .. })));
+    let mut broken = rig.frame();
+    broken.frame.image.depth_m.pop();
+    assert!(matches!(rig.servo.step(broken, &Unlimited), Err(Refused::Frame(_))));
+    let mut without_pose = rig.frame();
+    without_pose.frame.world_from_camera = None;
+    assert!(matches!(rig.servo.step(without_pose, &Unlimited), Err(Refused::MissingPose)));
+    let answer = rig.step().unwrap();
+    let c = answer.counters;
+    assert_eq!((c.answered, c.repeated, c.late, c.wild, c.invalid), (3, 1, 1, 1, 2));
+}
+
+#[test]
+fn the_static_mode_keeps_its_first_grasp_whatever_it_sees() {
+    let mut rig = Rig::new("robotiq-3f", few(), ServoOptions::of_first_frame());
+    let first = rig.step().unwrap();
+    let target = target_of(&rig, &first);
+    rig.objects[target].0[0] += 0.05;
+    let answers = until_go(&mut rig, 300);
+    let last = answers.last().unwrap();
+    assert_eq!(last.grasp, first.grasp);
+    assert_eq!(last.counters.replanned, 1);
+}
+
+#[test]
+fn an_empty_table_is_a_loss_with_its_reason_and_what_comes_is_planned() {
+    let mut rig = Rig::new("robotiq-2f85", Vec::new(), ServoOptions::default());
+    let answer = rig.step().unwrap();
+    assert!(matches!(answer.state, State::Lost(Loss::NoGrasp(_))), "{:?}", answer.state);
+    assert!(answer.grasp.is_none() && answer.world_from_standoff.is_none());
+    rig.objects = few();
+    let found = (0..20).map(|_| rig.step().unwrap().state).find(|s| !matches!(s, State::Lost(_)));
+    assert_eq!(found, Some(State::Replanning(Replan::First)));
+}
+
+#[test]
+fn same_frames_same_answers() {
+    let run = || {
+        let mut rig = Rig::new("leap", few(), ServoOptions::default());
+        (0..12).map(|_| rig.step().unwrap()).collect::<Vec<_>>()
+    };
+    let one = rayon_pool(1).install(run);
+    let two = rayon_pool(2).install(run);
+    assert_eq!(one, two, "on any number of threads");
+}
+
+fn rayon_pool(threads: usize) -> rayon::ThreadPool {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool")
+}
+
+#[test]
+fn options_that_make_no_sense_are_named() {
+    let broken = ServoOptions { window_voxels: 57, ..ServoOptions::default() };
+    assert_eq!(broken.validate().unwrap_err().field, "window_voxels");
+    let mut broken = ServoOptions::default();
+    broken.standoff.end_m = 0.2;
+    assert_eq!(broken.validate().unwrap_err().field, "standoff.start_m");
+    broken.standoff.end_m = f64::NAN;
+    assert!(broken.validate().is_err());
+    assert_eq!(ServoOptions::of_first_frame().validate(), Ok(()));
+}
