@@ -102,6 +102,11 @@ impl Task {
     pub(crate) fn id(&self) -> &str {
         &self.job.task_id
     }
+
+    /// Its hand.
+    pub(crate) fn hand(&self) -> &Hand {
+        &self.hand
+    }
 }
 
 /// A scene and how long it took.

@@ -16,7 +16,7 @@ use tonic::{Request, Response, Status};
 use super::{caller, clock};
 use crate::answers::{Joined, Leader, RequestKey};
 use crate::caller::Caller;
-use crate::convert::{self, Parsed, count_message, duration_message};
+use crate::convert::{self, AssignmentJob, HandJobs, Parsed, count_message, duration_message};
 use crate::deadline::CancelOnDrop;
 use crate::engine::{Answer, Call, Engine, OnBetter, Repeatable, Task};
 use crate::error::{FieldError, ServiceError};
@@ -104,6 +104,7 @@ impl PlannerService for PlannerApi {
         let request = request.into_inner();
         let asked = asked(&request.request_id, &request);
         let Parsed { scene, jobs, request_id } = convert::multi_hand(request).map_err(ServiceError::from)?;
+        let HandJobs { jobs, assignment } = jobs;
         let tasks = jobs.into_iter().map(|job| self.engine.task(job)).collect::<Result<Vec<_>, _>>()?;
         let call = self.engine.call(clock, &caller, scene)?;
         let cancel = call.budget.cancel_on_drop();
@@ -133,14 +134,14 @@ impl PlannerService for PlannerApi {
                         engine.answer(&call, &task, ticket).await
                     };
                     let answer = engine.once(repeatable.as_ref(), plan).await;
-                    (task.id().to_owned(), answer)
+                    (task, answer)
                 });
             }
             drop(read);
             tokio::select! {
                 biased;
                 () = sender.closed() => {}
-                () = send_results(&call, answers, &sender) => {}
+                () = send_results(&call, answers, assignment.as_ref(), &sender) => {}
                 () = call.answer_due() => {
                     // What has been answered is on its way; the rest was not done in time.
                     sender.send(Err(call.late("with hands that have no answer").into())).await.ok();
@@ -170,15 +171,21 @@ fn repeatable(request_id: Option<String>, caller: &Caller, asked: u64) -> Option
 /// Sends each task's result as it comes, then the summary.
 async fn send_results(
     call: &Call,
-    mut answers: JoinSet<(String, Answer)>,
+    mut answers: JoinSet<(Task, Answer)>,
+    assignment: Option<&AssignmentJob>,
     sender: &mpsc::Sender<Result<v1::PlanMultiHandResponse, Status>>,
 ) {
     let mut summary = v1::MultiHandSummary::default();
     let mut failed = 0;
     let (mut with, mut without) = (0, 0);
+    let mut planned: Vec<(Task, v1::PlanGraspsResponse)> = Vec::new();
     while let Some(joined) = answers.join_next().await {
         // A task of the runtime ends early only when the runtime itself ends.
-        let Ok((task_id, answer)) = joined else { return };
+        let Ok((task, answer)) = joined else { return };
+        if let (Some(_), Ok(response)) = (assignment, &answer) {
+            planned.push((task.clone(), response.clone()));
+        }
+        let task_id = task.id().to_owned();
         match &answer {
             Ok(response) if response.grasps.is_empty() => without += 1,
             Ok(_) => with += 1,
@@ -197,6 +204,9 @@ async fn send_results(
     summary.with_grasp_count = count_message(with);
     summary.without_grasp_count = count_message(without);
     summary.failed_count = count_message(failed);
+    summary.assignment = assignment.map(|job| {
+        job.assign(|id| planned.iter().find(|(task, _)| task.id() == id).map(|(task, r)| (task.hand(), r)))
+    });
     summary.total_duration = Some(duration_message(call.elapsed()));
     let event = Some(plan_multi_hand_response::Event::Summary(summary));
     // A caller that left before the last message needs no summary.
