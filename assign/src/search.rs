@@ -40,6 +40,9 @@ struct Search<'a> {
     /// Object of each candidate, where sameness is an equivalence; else empty.
     objects: Vec<usize>,
     object_count: usize,
+    /// Memory for bounds, and for what is free at each depth.
+    best_of_objects: Vec<f64>,
+    rests: Vec<Bits>,
     best: Vec<Option<usize>>,
     best_value: f64,
     nodes: u64,
@@ -74,6 +77,8 @@ pub(crate) fn search(judged: &Judged<'_>, settings: &Settings, stop: &mut dyn Fn
         compared: vec![vec![0; words]; count],
         objects,
         object_count,
+        best_of_objects: Vec::new(),
+        rests: vec![Vec::with_capacity(words); judged.of_arm.len()],
         best: vec![None; judged.of_arm.len()],
         best_value: 0.0,
         nodes: 0,
@@ -175,7 +180,9 @@ impl Search<'_> {
         if self.objects.is_empty() || self.order.len() - depth < 2 {
             return sum;
         }
-        let mut best = vec![0.0f64; self.object_count];
+        let mut best = std::mem::take(&mut self.best_of_objects);
+        best.clear();
+        best.resize(self.object_count, 0.0f64);
         for &arm in &self.order[depth..] {
             for c in self.judged.of_arm[arm].clone() {
                 if has(free, c) {
@@ -184,8 +191,10 @@ impl Search<'_> {
                 }
             }
         }
-        best.sort_by(|a, b| b.total_cmp(a));
-        sum.min(best.iter().take(self.order.len() - depth).sum())
+        best.sort_unstable_by(|a, b| b.total_cmp(a));
+        let together = best.iter().take(self.order.len() - depth).sum();
+        self.best_of_objects = best;
+        sum.min(together)
     }
 
     fn descend(&mut self, depth: usize, free: &[u64], chosen: &mut Vec<usize>, value: f64) {
@@ -201,11 +210,19 @@ impl Search<'_> {
         if value + self.bound(depth, free, chosen) <= self.best_value + EQUAL {
             return;
         }
+        // What the others can add at most, whatever this arm takes.
+        let others = self.bound(depth + 1, free, chosen);
+        let mut rest = std::mem::take(&mut self.rests[depth]);
         for candidate in self.judged.of_arm[arm].clone() {
+            // They come in the order of their values: none of those that follow is better.
+            if value + self.judged.candidates[candidate].value + others <= self.best_value + EQUAL {
+                break;
+            }
             if !has(free, candidate) || !chosen.iter().all(|&other| self.fits(candidate, other)) {
                 continue;
             }
-            let rest: Bits = free.iter().zip(&self.beside[candidate]).map(|(a, b)| a & b).collect();
+            rest.clear();
+            rest.extend(free.iter().zip(&self.beside[candidate]).map(|(a, b)| a & b));
             chosen.push(candidate);
             let worth = self.judged.candidates[candidate].value;
             self.descend(depth + 1, &rest, chosen, value + worth);
@@ -214,7 +231,10 @@ impl Search<'_> {
                 return;
             }
         }
+        self.rests[depth] = rest;
         // The arm takes nothing.
-        self.descend(depth + 1, free, chosen, value);
+        if value + others > self.best_value + EQUAL {
+            self.descend(depth + 1, free, chosen, value);
+        }
     }
 }

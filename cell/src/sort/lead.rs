@@ -123,6 +123,8 @@ struct ArmState {
     report: Option<crate::report::Report>,
     /// The grasp that it takes.
     target: Option<Isometry3<f64>>,
+    /// The space that it takes from where it has lifted on.
+    tail: Vec<graspd_assign::Capsule>,
 }
 
 /// Sorts a tray: every object that a rule fits goes into a bin of that rule, by whichever arm it is given to.
@@ -186,6 +188,7 @@ pub async fn sort(
             tries: 0,
             report: None,
             target: None,
+            tail: Vec::new(),
         });
     }
     let lead = Lead {
@@ -397,6 +400,13 @@ impl Lead<'_> {
                     *now = step;
                 }
             }
+            Notice::Lifted => {
+                // The rest of its way is part of what it holds: nobody can be there.
+                let tail = std::mem::take(&mut self.arms[arm].tail);
+                if !tail.is_empty() && self.space.reserve(arm, tail, Instant::now()).is_ok() {
+                    self.changed = true;
+                }
+            }
             Notice::Left => {
                 self.space.release(arm);
                 self.changed = true;
@@ -574,6 +584,7 @@ impl Lead<'_> {
         };
         let (object, bin) = (offered.object, offered.bin.clone());
         let pose = offered.grasp.world_from_hand;
+        let tail = offered.corridor[offered.tail..].to_vec();
         // It and what lies against it: what is there after the pick only a look tells.
         let disturbed = self.config.sort.disturbed_m;
         let taken = look.objects[object].seen.clone();
@@ -585,6 +596,7 @@ impl Lead<'_> {
         self.together += u32::from(others > 0);
         self.idle_looks = 0;
         self.arms[arm].target = Some(pose);
+        self.arms[arm].tail = tail;
         self.arms[arm].doing = Doing::Picking { object, bin, step: Step::Open };
         self.order(arm, Order::Pick(Box::new(chosen)));
     }

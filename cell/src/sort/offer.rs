@@ -8,7 +8,7 @@ use super::config::{ArmStation, SortConfig};
 use super::lead::ArmCell;
 use super::objects::Seen;
 use super::space::Space;
-use super::way::{HandShape, comfort, sweep, way_of};
+use super::way::{HandShape, comfort, from_lifted_on, sweep, sweep_with_tail, way_of};
 use crate::frame::Frame;
 use crate::plan::{Answer, HandFacts, PlannedGrasp, Question};
 use crate::pose::{pointing_down, raised_to};
@@ -39,6 +39,8 @@ pub(super) struct Offered {
     pub(super) bin: String,
     pub(super) drop: Isometry3<f64>,
     pub(super) corridor: Vec<Capsule>,
+    /// Where in it the way with the lifted object begins.
+    pub(super) tail: usize,
     pub(super) grasp: Grasp,
 }
 
@@ -133,15 +135,18 @@ pub(super) fn offer(
             corridor: None,
         };
         let (mut bin, mut drop, mut corridor) = (String::new(), station.home, Vec::new());
+        let mut tail = 0;
         match bin_of(config, arm, &objects[object]) {
             Err(why) => grasp.barred = Some(why),
             Ok(found) => {
                 bin.clone_from(&found.name);
                 drop = station.drop(&found.position_m, config.arms[arm].yaw_rad);
                 let way = way_of(planned, &station.hand, &station.home, &drop, station.travel_m);
-                match sweep(&*cell.shape, &station.hand, &way) {
+                let lifted = from_lifted_on(planned, &station.hand, &drop, station.travel_m);
+                match sweep_with_tail(&*cell.shape, &station.hand, &way, lifted) {
                     Err(why) => grasp.reach = Comfort::Beyond(why),
-                    Ok((swept, stretch)) => {
+                    Ok((swept, begin, stretch)) => {
+                        tail = begin;
                         corridor = swept;
                         grasp.reach = reach(config, arm, cell, station, planned, stretch);
                         if let Some(other) = space.ground_in_way(arm, &corridor) {
@@ -155,7 +160,7 @@ pub(super) fn offer(
             offer.out_of_reach.push(OutOfReach { rank, to: "grasp".to_owned(), why: why.clone() });
         }
         grasp.corridor = Some(corridor.clone());
-        offer.grasps.push(Offered { rank, object, bin, drop, corridor, grasp });
+        offer.grasps.push(Offered { rank, object, bin, drop, corridor, tail, grasp });
     }
     offer
 }

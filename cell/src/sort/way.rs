@@ -77,6 +77,15 @@ pub fn way_of(
     way
 }
 
+/// How many of the last poses of a way are those from where the object has been lifted on.
+pub fn from_lifted_on(grasp: &PlannedGrasp, hand: &HandShape, drop: &Isometry3<f64>, travel_m: f64) -> usize {
+    let tool = hand.tool_point.coords;
+    let lifted = raised_to(&grasp.world_from_hand.isometry(), &tool, travel_m);
+    let mut way = vec![lifted];
+    between(&lifted, &raised_to(drop, &tool, travel_m), &mut way);
+    way.len() + 1
+}
+
 /// What a way takes, and how far the arm is stretched on it at most.
 ///
 /// # Errors
@@ -86,11 +95,28 @@ pub fn sweep(
     hand: &HandShape,
     way: &[Isometry3<f64>],
 ) -> Result<(Vec<Capsule>, f64), String> {
+    let (swept, _, stretch) = sweep_with_tail(shape, hand, way, 0)?;
+    Ok((swept, stretch))
+}
+
+/// As [`sweep`], and where in it what the last `tail` poses take begins.
+///
+/// # Errors
+/// Why the arm cannot go it.
+pub fn sweep_with_tail(
+    shape: &dyn ArmShape,
+    hand: &HandShape,
+    way: &[Isometry3<f64>],
+    tail: usize,
+) -> Result<(Vec<Capsule>, usize, f64), String> {
     let postures = shape.along(way)?;
     let mut out = Vec::with_capacity(way.len() * 6);
-    let mut stretch = 0.0f64;
+    let (mut stretch, mut begin) = (0.0f64, 0);
     for (i, posture) in postures.iter().enumerate() {
         stretch = stretch.max(posture.stretch);
+        if i + tail == way.len() {
+            begin = out.len();
+        }
         let next = way.get(i + 1).unwrap_or(&way[i]);
         // Between two poses the arm is within half of the way that its flange goes.
         let step = (next.translation.vector - way[i].translation.vector).norm().min(SPACING_M);
@@ -100,7 +126,7 @@ pub fn sweep(
         out.push(Capsule { a: here.b, b: there.b, ..here });
         out.push(Capsule { a: here.a, b: there.a, ..here });
     }
-    Ok((out, stretch))
+    Ok((out, begin, stretch))
 }
 
 /// How comfortable a stretch is: 1 up to 90 % of the arm's reach, then down to a half.

@@ -31,6 +31,8 @@ pub(super) enum Order {
 pub(super) enum Notice {
     /// A step begins: it lives.
     Step(Step),
+    /// It has an object above everything that stands, and does not go down again before its bin.
+    Lifted,
     /// It has left the space over the tray: it is where it lets go.
     Left,
     /// Trouble, in words.
@@ -56,6 +58,9 @@ impl Observer for Eyes {
     fn on(&mut self, event: &Event<'_>) {
         let notice = match event {
             Event::StepBegan { step, .. } => Notice::Step(*step),
+            Event::StepEnded { record, .. } if record.step == Step::CheckHeld && record.done => {
+                Notice::Lifted
+            }
             // Over the bin; what comes then is on the arm's own ground.
             Event::StepEnded { record, .. } if record.step == Step::Carry && record.done => Notice::Left,
             Event::Trouble { step, text, .. } => Notice::Trouble(format!("{step}: {text}")),

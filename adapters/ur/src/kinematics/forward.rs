@@ -107,13 +107,6 @@ mod tests {
             prop_assert!((column.fixed_rows::<3>(3) - angular).norm() < 1e-7);
         }
     }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::kinematics::Model;
-    use proptest::prelude::*;
 
     proptest! {
         #[test]

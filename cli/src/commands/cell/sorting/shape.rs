@@ -90,6 +90,7 @@ impl ArmShape for UrShape {
     fn along(&self, way: &[Isometry3<f64>]) -> Result<Vec<Posture>, String> {
         let mut out = Vec::with_capacity(way.len());
         let mut last: Option<Joints> = None;
+        let mut turned: Option<UnitQuaternion<f64>> = None;
         for pose in way {
             let at = pose.translation.vector;
             let joints = match &last {
@@ -105,7 +106,10 @@ impl ArmShape for UrShape {
                     at.as_slice()
                 ));
             };
-            if let Some(near) = &last {
+            // Only where the hand keeps its orientation is the way a straight line in any case: arms turn over in the air.
+            if let (Some(near), true) =
+                (&last, turned.is_some_and(|before| pose.rotation.angle_to(&before) < 1e-6))
+            {
                 let turns = joints.iter().zip(near).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
                 if turns > JUMP_RAD {
                     return Err(format!(
@@ -116,6 +120,7 @@ impl ArmShape for UrShape {
             }
             out.push(self.posture(&joints));
             last = Some(joints);
+            turned = Some(pose.rotation);
         }
         Ok(out)
     }
