@@ -292,14 +292,11 @@ impl Lead<'_> {
         if let Some(look) = &self.look
             && look.objects.iter().all(|o| o.waits)
         {
-            self.idle_looks += 1;
             if self.is_hoping() {
                 // Somebody is about to come back; the tray is as it is.
-                self.idle_looks = 1;
-                self.hear().await?;
-                self.look = None;
-                return Ok(None);
+                return self.hear().await.map(|()| None);
             }
+            self.idle_looks += 1;
             if self.idle_looks >= self.config.recovery.no_grasp_frames {
                 return Ok(Some(End::NoGrasp { why: self.why_idle() }));
             }

@@ -25,6 +25,7 @@ fn config(objects: i64) -> SortConfig {
     config.check().unwrap();
     config.simulation.as_mut().unwrap().insert("objects".to_owned(), objects.into());
     config.sort.come_back_s = 0.5;
+    config.recovery.no_grasp_frames = 3;
     config
 }
 
