@@ -87,8 +87,13 @@ pub fn modbus_rtu(data: &[u8]) -> bool {
             (Model::ThreeFinger, LinkSettings::Rtu { port: "-".into(), baud: 115_200 }),
             (Model::ThreeFinger, LinkSettings::ModbusTcp { address: "-".into() }),
         ] {
-            let settings =
-                RobotiqSettings { model, link, reply_timeout_ms: 1000, gap_ms: 0, ..RobotiqSettings::default() };
+            let settings = RobotiqSettings {
+                model,
+                link,
+                reply_timeout_ms: 1000,
+                gap_ms: 0,
+                ..RobotiqSettings::default()
+            };
             let answer = runtime.block_on(async {
                 let (ours, mut theirs) = tokio::io::duplex(data.len().max(512));
                 let mut link = Link::attach(ours, &settings);
@@ -117,9 +122,10 @@ pub fn modbus_rtu(data: &[u8]) -> bool {
 fn emulated_gripper(data: &[u8]) -> bool {
     use graspd_adapters_emulators::robotiq::Model;
     let mut answered = false;
-    for (model, plant) in
-        [(Model::TwoFinger, KinematicPlant::two_finger()), (Model::ThreeFinger, KinematicPlant::three_finger())]
-    {
+    for (model, plant) in [
+        (Model::TwoFinger, KinematicPlant::two_finger()),
+        (Model::ThreeFinger, KinematicPlant::three_finger()),
+    ] {
         let gripper = Gripper::new(GripperConfig::new(model), plant);
         let mut device = gripper.rtu_device();
         let now = Instant::now();

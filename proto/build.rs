@@ -5,11 +5,12 @@ use std::path::PathBuf;
 
 use prost::Message as _;
 
-const FILES: [&str; 9] = [
+const FILES: [&str; 10] = [
     "graspd/v1/geometry.proto",
     "graspd/v1/frame.proto",
     "graspd/v1/options.proto",
     "graspd/v1/grasp.proto",
+    "graspd/v1/assignment.proto",
     "graspd/v1/planner_service.proto",
     "graspd/v1/hand_service.proto",
     "graspd/v1/info_service.proto",

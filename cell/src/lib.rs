@@ -5,6 +5,8 @@
 //! planner sees an empty tray. The loop knows devices by the traits of `graspd-adapters-core` alone and the planner by
 //! its protocol.
 //!
+//! [`sort`] does the same with several arms over one tray (Supplementary Note 7, Task 3).
+//!
 //! What is done about trouble in each step stands in one table, [`recovery::TABLE`], which the loop obeys and
 //! `docs/cell.md` prints. The loop ends in every case, and every attempt has exactly one outcome.
 
@@ -17,6 +19,7 @@ pub mod pose;
 pub mod record;
 pub mod recovery;
 pub mod report;
+pub mod sort;
 pub mod steps;
 pub mod witness;
 

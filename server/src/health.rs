@@ -23,8 +23,13 @@ use crate::engine::Engine;
 use crate::pool::Order;
 
 /// Services that are ready when the server is.
-const SERVICES: [&str; 4] =
-    ["", "graspd.v1.PlannerService", "graspd.v1.HandService", "graspd.v1.InfoService"];
+const SERVICES: [&str; 5] = [
+    "",
+    "graspd.v1.PlannerService",
+    "graspd.v1.ServoService",
+    "graspd.v1.HandService",
+    "graspd.v1.InfoService",
+];
 /// Jobs of one hand that crash one after the other before the hand is not well.
 const CRASHES: u32 = 3;
 /// A first plan that takes longer is none.

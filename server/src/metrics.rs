@@ -59,11 +59,6 @@ struct Plan {
     outcome: &'static str,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct Outcome {
-    outcome: &'static str,
-}
-
 type Times<L> = Family<L, Histogram, fn() -> Histogram>;
 
 fn times() -> Histogram {

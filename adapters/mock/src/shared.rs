@@ -15,7 +15,7 @@ use tokio::sync::oneshot;
 
 use crate::bins::Bin;
 use crate::clock::Clock;
-use crate::stage::{self, Job, Pace, Process, Stage};
+use crate::stage::{self, Job, Pace, Process, Stage, Watcher};
 
 /// How a shared world runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -150,6 +150,23 @@ impl SharedWorld {
         job: impl FnOnce(&mut World) -> R + Send + 'static,
     ) -> Result<R, WorldEnded> {
         self.on_stage(move |stage| job(&mut stage.world)).await
+    }
+
+    /// Lets somebody look at the world every so many seconds of its clock (at least one step), for as long as it lives. It
+    /// lets no time go by: who watches sees what others do.
+    ///
+    /// # Errors
+    /// [`WorldEnded`].
+    pub async fn watch(
+        &self,
+        every_s: f64,
+        look: impl FnMut(&World) + Send + 'static,
+    ) -> Result<(), WorldEnded> {
+        self.on_stage(move |stage| {
+            let steps = (every_s / stage.world.settings().dt_s).round().max(1.0);
+            stage.watch(Watcher { every: steps as u64, look: Box::new(look) });
+        })
+        .await
     }
 
     /// Puts a hand into the world, its root link at a pose, its fingers as its description says that it opens or

@@ -15,6 +15,13 @@ pub(crate) trait Process: Send {
     fn after_step(&mut self, world: &mut World) -> bool;
 }
 
+/// Looks at the world now and then while it moves; never moves it.
+pub(crate) struct Watcher {
+    /// Steps between two looks.
+    pub(crate) every: u64,
+    pub(crate) look: Box<dyn FnMut(&World) + Send>,
+}
+
 /// What is done between two steps, on the world's thread.
 pub(crate) type Job = Box<dyn FnOnce(&mut Stage) + Send>;
 
@@ -28,18 +35,24 @@ pub(crate) struct Stage {
     pub(crate) world: World,
     pub(crate) delivered: Vec<Delivered>,
     processes: Vec<Box<dyn Process>>,
+    watchers: Vec<Watcher>,
     bins: Vec<Bin>,
     steps: u64,
 }
 
 impl Stage {
     pub(crate) fn new(world: World, bins: Vec<Bin>) -> Self {
-        Self { world, delivered: Vec::new(), processes: Vec::new(), bins, steps: 0 }
+        Self { world, delivered: Vec::new(), processes: Vec::new(), watchers: Vec::new(), bins, steps: 0 }
     }
 
     /// Starts something that takes time; it is looked at after the next step for the first time.
     pub(crate) fn start(&mut self, process: impl Process + 'static) {
         self.processes.push(Box::new(process));
+    }
+
+    /// Lets somebody watch from now on.
+    pub(crate) fn watch(&mut self, watcher: Watcher) {
+        self.watchers.push(watcher);
     }
 
     fn step(&mut self, clock: &Clock) {
@@ -49,6 +62,11 @@ impl Stage {
         self.steps += 1;
         if self.steps.is_multiple_of(BIN_STEPS) {
             self.delivered.extend(bins::absorb(&mut self.world, &self.bins));
+        }
+        for watcher in &mut self.watchers {
+            if self.steps.is_multiple_of(watcher.every) {
+                (watcher.look)(&self.world);
+            }
         }
         let world = &mut self.world;
         self.processes.retain_mut(|process| !process.after_step(world));

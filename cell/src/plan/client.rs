@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use graspd_client::{
-    CameraIntrinsics, Client, ClientConfig, ClientError, Code, PlanGraspsRequest, PlanOptions, SceneOptions,
-    depth_frame_u16, wire,
+    CameraIntrinsics, Client, ClientConfig, ClientError, Code, HandTask, MultiHandEvent, PlanGraspsRequest,
+    PlanMultiHandRequest, PlanOptions, SceneOptions, depth_frame_u16, wire,
 };
 use nalgebra::{Unit, Vector3};
 use tokio::sync::Mutex;
@@ -86,6 +86,55 @@ impl GraspPlanner for PlannerClient {
         let request = request(frame, question)?;
         let response = self.client(timeout).await?.plan_grasps(&request).await.map_err(error)?;
         answer(response)
+    }
+
+    async fn plan_together(
+        &self,
+        frame: &Frame,
+        questions: &[Question],
+        timeout: Duration,
+    ) -> Result<Vec<Answer>, PlannerError> {
+        let Some(first) = questions.first() else { return Ok(Vec::new()) };
+        let alike = |q: &Question| {
+            (&q.workspace, &q.region, &q.estimator) == (&first.workspace, &first.region, &first.estimator)
+        };
+        if !questions.iter().all(alike) {
+            return Err(PlannerError::Refused("questions that read the scene differently".to_owned()));
+        }
+        let PlanGraspsRequest { frames, scene_options, .. } = request(frame, first)?;
+        let task = |(i, question): (usize, &Question)| HandTask {
+            task_id: i.to_string(),
+            hand: format!("hands/{}", question.hand),
+            options: Some(plan_options(question)),
+        };
+        let tasks = questions.iter().enumerate().map(task).collect();
+        let request =
+            PlanMultiHandRequest { frames, scene_options, tasks, ..PlanMultiHandRequest::default() };
+        let mut stream = self.client(timeout).await?.plan_multi_hand(&request).await.map_err(error)?;
+        let mut answers: Vec<Option<Answer>> = vec![None; questions.len()];
+        while let Some(event) = stream.next().await.map_err(error)? {
+            let MultiHandEvent::Result(result) = event else { break };
+            let slot = result.task_id.parse().ok().and_then(|i: usize| answers.get_mut(i));
+            let slot = slot.ok_or_else(|| broken("a task that nobody asked for"))?;
+            *slot = Some(match result.outcome {
+                Some(wire::hand_task_result::Outcome::Response(response)) => answer(response)?,
+                Some(wire::hand_task_result::Outcome::Error(e)) => return Err(task_error(&e)),
+                None => return Err(broken("a task without an outcome")),
+            });
+        }
+        answers.into_iter().collect::<Option<_>>().ok_or_else(|| broken("not every hand"))
+    }
+}
+
+/// What a failed task means for all.
+fn task_error(error: &wire::TaskError) -> PlannerError {
+    let text = format!("{}: {}", error.reason, error.message);
+    match Code::from(error.code) {
+        Code::Unavailable | Code::ResourceExhausted | Code::Cancelled => PlannerError::Away(text),
+        Code::InvalidArgument | Code::NotFound | Code::FailedPrecondition | Code::OutOfRange => {
+            PlannerError::Refused(text)
+        }
+        _ => PlannerError::Failed(text),
     }
 }
 

@@ -113,4 +113,23 @@ pub trait GraspPlanner: Send + Sync + Debug {
         question: &Question,
         timeout: Duration,
     ) -> Result<Answer, PlannerError>;
+
+    /// Ranked grasps of several hands for one frame, in the order of the questions, which read the scene alike (they differ in
+    /// nothing of workspace, region and estimator). An error is one of all. This default asks one question after the
+    /// other.
+    ///
+    /// # Errors
+    /// [`PlannerError`].
+    async fn plan_together(
+        &self,
+        frame: &Frame,
+        questions: &[Question],
+        timeout: Duration,
+    ) -> Result<Vec<Answer>, PlannerError> {
+        let mut answers = Vec::with_capacity(questions.len());
+        for question in questions {
+            answers.push(self.plan(frame, question, timeout).await?);
+        }
+        Ok(answers)
+    }
 }

@@ -88,6 +88,12 @@ impl Attempt {
         self.out_of_reach = out_of_reach;
     }
 
+    /// The one grasp of an answer that somebody else has chosen.
+    pub(super) fn choose(&mut self, rank: usize) {
+        self.order = vec![rank];
+        self.at = 0;
+    }
+
     /// The grasp that is tried.
     pub(super) fn grasp(&self) -> Option<(usize, &PlannedGrasp)> {
         let rank = *self.order.get(self.at)?;

@@ -7,7 +7,7 @@ use graspd_adapters_core::{CloseCommand, DeviceError, GripCommand, HandInfo, Han
 use nalgebra::Isometry3;
 
 use super::Run;
-pub(super) use crate::config::seconds;
+pub(crate) use crate::config::seconds;
 use crate::outcome::End;
 use crate::plan::{PlannedGrasp, PlannerError};
 use crate::pose::raised_to;
@@ -66,7 +66,7 @@ impl From<PlannerError> for Problem {
 }
 
 /// Waits for a planner, a little longer than it was allowed.
-pub(super) async fn answered<T>(
+pub(crate) async fn answered<T>(
     limit: Duration,
     call: impl Future<Output = Result<T, PlannerError>>,
 ) -> Result<T, PlannerError> {

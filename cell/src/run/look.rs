@@ -68,7 +68,7 @@ impl Run<'_> {
 
 /// Pose of an optical frame at `position` that looks at `target`, its upper edge up (along world y when looking
 /// straight down).
-fn looking(position: &[f64; 3], target: &[f64; 3]) -> Isometry3<f64> {
+pub(crate) fn looking(position: &[f64; 3], target: &[f64; 3]) -> Isometry3<f64> {
     let eye = Vector3::from(*position);
     let z = (Vector3::from(*target) - eye).try_normalize(1e-9).unwrap_or_else(|| -Vector3::z());
     let x = z.cross(&Vector3::z()).try_normalize(1e-6).or_else(|| z.cross(&Vector3::y()).try_normalize(1e-6));

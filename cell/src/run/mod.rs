@@ -4,6 +4,7 @@ mod attempt;
 mod calls;
 mod hold;
 mod look;
+mod picker;
 mod question;
 mod reach;
 mod recover;
@@ -28,6 +29,10 @@ use crate::witness::Witness;
 
 use attempt::Attempt;
 use calls::Problem;
+pub(crate) use calls::{answered, seconds};
+pub(crate) use look::looking;
+pub(crate) use picker::{Chosen, Picker};
+pub(crate) use question::Asked;
 
 /// A robot cell: one camera that sees the tray, one arm with one hand, a planner.
 #[derive(Debug, Clone)]
@@ -84,60 +89,71 @@ pub async fn clear_tray(
     observer: &mut dyn Observer,
 ) -> Result<Report, CellError> {
     config.check()?;
-    let facts = facts(cell, config, observer).await?;
-    let expected: Vec<String> = facts.actuators.iter().map(|a| a.name.clone()).collect();
-    let hand = cell.hand.info();
-    let (mut a, mut b) = (hand.actuators.clone(), expected.clone());
-    a.sort();
-    b.sort();
-    if a != b {
-        let (device, found) = (hand.name, hand.actuators);
-        return Err(CellError::Actuators { device, found, expected, hand: facts.id });
+    let facts = facts(&*cell.planner, config, observer).await?;
+    Ok(Run::new(cell, config, facts, observer)?.until_it_ends().await)
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        cell: &'a Cell,
+        config: &'a CellConfig,
+        facts: HandFacts,
+        observer: &'a mut dyn Observer,
+    ) -> Result<Self, CellError> {
+        let expected: Vec<String> = facts.actuators.iter().map(|a| a.name.clone()).collect();
+        let hand = cell.hand.info();
+        let (mut a, mut b) = (hand.actuators.clone(), expected.clone());
+        a.sort();
+        b.sort();
+        if a != b {
+            let (device, found) = (hand.name, hand.actuators);
+            return Err(CellError::Actuators { device, found, expected, hand: facts.id });
+        }
+        let recorder = config.recording.folder.as_ref().map(|folder| {
+            let (camera, arm) = (cell.camera.info(), cell.arm.info());
+            let info = RunInfo {
+                graspd: env!("CARGO_PKG_VERSION").to_owned(),
+                hand: facts.id.clone(),
+                hand_revision: facts.revision.clone(),
+                devices: [
+                    format!("{}: {}", camera.name, camera.model),
+                    format!("{}: {}", arm.name, arm.model),
+                    hand.name.clone(),
+                ],
+                config: config.clone(),
+            };
+            Recorder::create(folder, &info)
+        });
+        let recorder = recorder.transpose()?;
+        Ok(Self {
+            cell,
+            config,
+            observer,
+            places: Places::new(config, &facts),
+            facts,
+            began: Instant::now(),
+            recorder,
+            record_trouble: None,
+            tally: Tally::default(),
+            attempt: Attempt::new(1),
+            step: Step::ClearView,
+            current: None,
+            tries: 0,
+            holding: Holding::Unknown,
+            empty_frames: 0,
+            idle_attempts: 0,
+            idle_since_success: 0,
+            last_exposure: None,
+            failed_poses: Vec::new(),
+            prepared: false,
+            led: false,
+        })
     }
-    let recorder = config.recording.folder.as_ref().map(|folder| {
-        let (camera, arm) = (cell.camera.info(), cell.arm.info());
-        let info = RunInfo {
-            graspd: env!("CARGO_PKG_VERSION").to_owned(),
-            hand: facts.id.clone(),
-            hand_revision: facts.revision.clone(),
-            devices: [
-                format!("{}: {}", camera.name, camera.model),
-                format!("{}: {}", arm.name, arm.model),
-                hand.name.clone(),
-            ],
-            config: config.clone(),
-        };
-        Recorder::create(folder, &info)
-    });
-    let recorder = recorder.transpose()?;
-    let run = Run {
-        cell,
-        config,
-        observer,
-        places: Places::new(config, &facts),
-        facts,
-        began: Instant::now(),
-        recorder,
-        record_trouble: None,
-        tally: Tally::default(),
-        attempt: Attempt::new(1),
-        step: Step::ClearView,
-        current: None,
-        tries: 0,
-        holding: Holding::Unknown,
-        empty_frames: 0,
-        idle_attempts: 0,
-        idle_since_success: 0,
-        last_exposure: None,
-        failed_poses: Vec::new(),
-        prepared: false,
-    };
-    Ok(run.until_it_ends().await)
 }
 
 /// Asks the planner about the hand; waits for a planner that is starting.
-async fn facts(
-    cell: &Cell,
+pub(crate) async fn facts(
+    planner: &dyn GraspPlanner,
     config: &CellConfig,
     observer: &mut dyn Observer,
 ) -> Result<HandFacts, PlannerError> {
@@ -145,7 +161,7 @@ async fn facts(
     let deadline = Instant::now() + limit;
     let mut before = 0;
     loop {
-        match calls::answered(limit, cell.planner.hand(&config.hand.id, limit)).await {
+        match calls::answered(limit, planner.hand(&config.hand.id, limit)).await {
             Err(PlannerError::Away(text)) if Instant::now() < deadline && !observer.wants_end() => {
                 if before == 0 {
                     let (step, trouble, recovery) = (Step::Plan, Trouble::PlannerAway, Recovery::Wait);
@@ -220,6 +236,8 @@ struct Run<'a> {
     failed_poses: Vec<Isometry3<f64>>,
     /// True once the hand has been emptied at the drop pose.
     prepared: bool,
+    /// True for an arm of several: somebody else looks, plans and chooses, and says when it ends.
+    led: bool,
 }
 
 impl Run<'_> {
@@ -248,6 +266,7 @@ impl Run<'_> {
     async fn one_step(&mut self) -> Next {
         if self.step == Step::ClearView
             && self.tries == 0
+            && !self.led
             && let Some(end) = self.must_end()
         {
             return Next::End(end);

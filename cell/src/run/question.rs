@@ -1,7 +1,7 @@
 //! What the planner is asked, and how the question changes while it has no grasp or its grasps fail.
 
 use super::Run;
-use crate::config::TrayConfig;
+use crate::config::{CellConfig, TrayConfig};
 use crate::plan::{Question, ReachingChoice};
 
 /// Most candidates that a planner accepts at once.
@@ -39,17 +39,43 @@ fn rung(idle: u32, failures: u32) -> (Rung, u32) {
     (RUNGS[steps as usize % RUNGS.len()], steps.min(MOST_DOUBLINGS))
 }
 
+/// What a question depends on besides the configuration.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Asked {
+    /// Added to the configured seed.
+    pub(crate) number: u64,
+    /// Plans without a grasp since the last success.
+    pub(crate) idle: u32,
+    /// Failed trials since the last success.
+    pub(crate) failures: u32,
+    /// Nothing was seen the last time.
+    pub(crate) seemed_empty: bool,
+}
+
 impl Run<'_> {
     /// The question for this attempt. Each has a seed of its own.
     pub(super) fn question(&self) -> Question {
-        let (planner, tray) = (&self.config.planner, &self.config.tray);
-        let (rung, doublings) = rung(self.idle_since_success, self.tally.failures_in_a_row);
+        let asked = Asked {
+            number: u64::from(self.attempt.number) - 1,
+            idle: self.idle_since_success,
+            failures: self.tally.failures_in_a_row,
+            seemed_empty: self.empty_frames > 0,
+        };
+        asked.question(self.config)
+    }
+}
+
+impl Asked {
+    /// The question, as a cell of this configuration asks it.
+    pub(crate) fn question(&self, config: &CellConfig) -> Question {
+        let (planner, tray) = (&config.planner, &config.tray);
+        let (rung, doublings) = rung(self.idle, self.failures);
         // An empty tray is asked about as it is.
-        let floor = if self.empty_frames > 0 { 0.0 } else { rung.floor };
+        let floor = if self.seemed_empty { 0.0 } else { rung.floor };
         let tray = TrayConfig { floor_clearance_m: floor * tray.floor_clearance_m, ..tray.clone() };
         Question {
-            hand: self.config.hand.id.clone(),
-            seed: self.config.run.seed.wrapping_add(u64::from(self.attempt.number) - 1),
+            hand: config.hand.id.clone(),
+            seed: config.run.seed.wrapping_add(self.number),
             reaching: if rung.free { ReachingChoice::Free } else { planner.reaching },
             max_tilt_rad: planner.max_tilt_rad.filter(|_| !rung.free),
             workspace: tray.workspace(),

@@ -4,7 +4,7 @@ use std::fmt::Display;
 
 use super::Run;
 use super::attempt::Attempt;
-use super::calls::seconds;
+use super::calls::{Problem, Who, seconds};
 use crate::observer::Event;
 use crate::outcome::{End, FailureClass, Holding, Outcome};
 use crate::record::AttemptRecord;
@@ -97,6 +97,23 @@ impl Run<'_> {
         let report = Report { record_trouble: self.record_trouble.clone(), ..report };
         self.observer.on(&Event::Ended(&report));
         report
+    }
+
+    /// Counts an attempt that an end has cut short, for an arm that comes back from it.
+    pub(super) async fn count_cut_short(&mut self) {
+        self.close_step(false);
+        if !self.attempt.steps.is_empty() {
+            let outcome = self.cut_short(&End::Asked);
+            let number = self.attempt.number;
+            self.count(outcome).await;
+            self.attempt = Attempt::new(number + 1);
+        }
+    }
+
+    /// Clears the faults of arm and hand.
+    pub(super) async fn clear_faults(&mut self) -> Result<(), Problem> {
+        self.clear_fault(Who::Arm).await?;
+        self.clear_fault(Who::Hand).await
     }
 
     /// The outcome of an attempt that the end of the run cut short.

@@ -3,6 +3,7 @@
 mod progress;
 mod replay;
 mod simulation;
+mod sorting;
 mod truth;
 pub(super) mod world;
 
@@ -17,6 +18,7 @@ use clap::{Args, Subcommand};
 use graspd_cell::config::CellConfig;
 use graspd_cell::plan::PlannerClient;
 use graspd_cell::report::Report;
+use graspd_cell::sort::config::SortConfig;
 use graspd_cell::{Cell, clear_tray};
 use graspd_server::{Server, ServerConfig};
 use serde_json::json;
@@ -36,7 +38,7 @@ enum CellCommand {
     Replay(replay::ReplayArgs),
 }
 
-/// Clears a tray. Ends with 0 when the tray is empty, with 1 for every other end, which is told.
+/// Clears a tray, or sorts one with several arms. Ends with 0 when the tray is empty, with 1 for every other end, which is told.
 #[derive(Debug, Clone, Args)]
 struct RunArgs {
     /// Configuration; every value has a default
@@ -62,6 +64,15 @@ struct RunArgs {
     /// Seed of the simulated scene
     #[arg(long, value_name = "SEED")]
     scene_seed: Option<u64>,
+    /// Several arms: sort so many trays, each with the next seed, and print what is counted
+    #[arg(long, value_name = "N")]
+    rounds: Option<u32>,
+    /// Several arms: only these, by their names
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    arms: Option<Vec<String>>,
+    /// Several arms: a picture of each simulated second into this folder
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
     /// Allow motion of all devices, whatever the file says
     #[arg(long)]
     arm_motion: bool,
@@ -113,6 +124,22 @@ impl RunArgs {
 }
 
 fn run_cell(args: &RunArgs) -> anyhow::Result<()> {
+    if let Some(path) = &args.config
+        && let Ok(text) = std::fs::read_to_string(path)
+        && SortConfig::is_one(&text)
+    {
+        return sorting::run(args, &text, &path.display().to_string());
+    }
+    for (flag, given) in [
+        ("--rounds", args.rounds.is_some()),
+        ("--arms", args.arms.is_some()),
+        ("--pictures", args.pictures.is_some()),
+    ] {
+        anyhow::ensure!(
+            !given,
+            "{flag}: found it, expected a file with several arms: [[arms]], as in examples/sort.toml"
+        );
+    }
     let config = args.config()?;
     // Devices have threads of their own: heartbeats and watchdogs do not wait while a frame is packed or a plan is made.
     let for_devices = tokio::runtime::Builder::new_multi_thread()

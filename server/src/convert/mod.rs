@@ -3,6 +3,7 @@
 //! Every fault names the path of the field, what was found and what was expected. Out of range is an
 //! error, never clamped in silence; unset takes the documented default.
 
+mod assignment;
 mod frame;
 mod geometry;
 mod grasp;
@@ -12,11 +13,12 @@ mod options;
 mod request;
 mod servo;
 
+pub(crate) use assignment::AssignmentJob;
 pub(crate) use frame::EncodedFrame;
 pub(crate) use grasp::{PlanContext, out_of_time_response, plan_response};
 pub(crate) use hand::{hand_id, hand_message, hand_name};
 pub(crate) use hand_geometry::geometry_message;
-pub(crate) use request::{HandJob, Parsed, SceneRequest, multi_hand, plan_grasps, report_outcome};
+pub(crate) use request::{HandJob, HandJobs, Parsed, SceneRequest, multi_hand, plan_grasps, report_outcome};
 pub(crate) use servo::{EncodedServoFrame, ServoWords, servo_answer, servo_config};
 
 use std::fmt::Display;

@@ -16,7 +16,7 @@ use crate::error::FieldError;
 use crate::pool::Priority;
 
 /// At most this many keep-out boxes.
-const MOST_KEEP_OUT_BOXES: usize = 64;
+pub(super) const MOST_KEEP_OUT_BOXES: usize = 64;
 /// At most this many candidates.
 const LARGEST_BATCH: i32 = 4096;
 /// At most this many iterations.
@@ -246,7 +246,7 @@ fn keep_out(wire: &v1::KeepOutBox, path: &str) -> Result<KeepOut, FieldError> {
 }
 
 /// A box by its pose and half extents.
-fn solid_box(
+pub(super) fn solid_box(
     wire_pose: Option<&v1::Pose>,
     wire_half: Option<v1::Vector3>,
     path: &str,

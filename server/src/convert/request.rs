@@ -7,7 +7,7 @@ use graspd_planner::options::{PlanOptions, SceneOptions, Target};
 use graspd_proto::v1;
 
 use super::options::{Asked, plan_options, scene_options};
-use super::{EncodedFrame, hand_id, join, known_enum, quoted};
+use super::{AssignmentJob, EncodedFrame, hand_id, join, known_enum, quoted};
 use crate::decode::MAX_PIXELS;
 use crate::error::{FieldError, FieldReason};
 use crate::pool::Priority;
@@ -203,6 +203,15 @@ pub(crate) struct Parsed<J> {
     pub(crate) request_id: Option<String>,
 }
 
+/// What to do for several hands.
+#[derive(Debug, Clone)]
+pub(crate) struct HandJobs {
+    /// One for each hand.
+    pub(crate) jobs: Vec<HandJob>,
+    /// Who takes which grasp, where that is asked.
+    pub(crate) assignment: Option<AssignmentJob>,
+}
+
 /// A request for one hand; `path` is empty, or the field that holds the request.
 pub(crate) fn plan_grasps(wire: v1::PlanGraspsRequest, path: &str) -> Result<Parsed<HandJob>, FieldError> {
     let hand_id = hand_id(&wire.hand, &join(path, "hand"))?;
@@ -215,7 +224,7 @@ pub(crate) fn plan_grasps(wire: v1::PlanGraspsRequest, path: &str) -> Result<Par
 }
 
 /// A request for several hands.
-pub(crate) fn multi_hand(wire: v1::PlanMultiHandRequest) -> Result<Parsed<Vec<HandJob>>, FieldError> {
+pub(crate) fn multi_hand(wire: v1::PlanMultiHandRequest) -> Result<Parsed<HandJobs>, FieldError> {
     if wire.tasks.is_empty() {
         return Err(FieldError::missing("tasks", "at least one task"));
     }
@@ -247,8 +256,9 @@ pub(crate) fn multi_hand(wire: v1::PlanMultiHandRequest) -> Result<Parsed<Vec<Ha
         check_target(&scene, &asked.options, &options_path)?;
         jobs.push(HandJob::new(task.task_id, hand_id, asked));
     }
+    let assignment = wire.assignment.map(|asked| AssignmentJob::parse(asked, &jobs)).transpose()?;
     let request_id = request_id(wire.request_id, "")?;
-    Ok(Parsed { scene, jobs, request_id })
+    Ok(Parsed { scene, jobs: HandJobs { jobs, assignment }, request_id })
 }
 
 /// Longest note of an outcome, bytes.

@@ -86,7 +86,7 @@ impl Census {
 
 /// A call for several hands as the service makes it; how many hands were answered.
 async fn call(engine: &Engine, census: &Census, wire: v1::PlanMultiHandRequest) -> usize {
-    let Parsed { scene, jobs, .. } = convert::multi_hand(wire).unwrap();
+    let Parsed { scene, jobs: convert::HandJobs { jobs, .. }, .. } = convert::multi_hand(wire).unwrap();
     let tasks: Vec<Task> =
         jobs.into_iter().map(|job| engine.task(&Caller::named("test"), job).unwrap()).collect();
     let call = engine.call(now(), &Caller::named("test"), scene).unwrap();
@@ -140,7 +140,8 @@ async fn a_scene_that_is_held_keeps_its_room() {
     let engine = engine(2);
     let mut calls = Vec::new();
     for i in 0..3 {
-        let Parsed { scene, jobs, .. } = convert::multi_hand(request(1, 48, 80 + i)).unwrap();
+        let Parsed { scene, jobs: convert::HandJobs { jobs, .. }, .. } =
+            convert::multi_hand(request(1, 48, 80 + i)).unwrap();
         let tasks: Vec<Task> =
             jobs.into_iter().map(|job| engine.task(&Caller::named("test"), job).unwrap()).collect();
         let call = engine.call(now(), &Caller::named("test"), scene).unwrap();
@@ -193,7 +194,7 @@ fn what_the_planner_refuses_names_its_own_field() {
 
 /// A call that is ready to be submitted.
 fn ready(engine: &Engine, wire: v1::PlanMultiHandRequest) -> (Call, Vec<Task>) {
-    let Parsed { scene, jobs, .. } = convert::multi_hand(wire).unwrap();
+    let Parsed { scene, jobs: convert::HandJobs { jobs, .. }, .. } = convert::multi_hand(wire).unwrap();
     let tasks = jobs.into_iter().map(|job| engine.task(&Caller::named("test"), job).unwrap()).collect();
     (engine.call(now(), &Caller::named("test"), scene).unwrap(), tasks)
 }
@@ -242,7 +243,7 @@ async fn the_deadline_picks_the_scheme_unless_the_caller_does() {
     let iterations = async |timeout_ms: Option<u64>, scheme: Option<v1::Scheme>| {
         let mut wire = request(1, 48, 100);
         wire.tasks[0].options = Some(v1::PlanOptions { batch_size: 4, scheme, ..Default::default() });
-        let Parsed { scene, jobs, .. } = convert::multi_hand(wire).unwrap();
+        let Parsed { scene, jobs: convert::HandJobs { jobs, .. }, .. } = convert::multi_hand(wire).unwrap();
         let clock = CallClock {
             arrived: Instant::now(),
             timeout: timeout_ms.map(Duration::from_millis),

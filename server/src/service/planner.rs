@@ -17,7 +17,7 @@ use tonic::{Request, Response, Status};
 use super::{caller, clock};
 use crate::answers::{Joined, Leader, RequestKey};
 use crate::caller::Caller;
-use crate::convert::{self, Parsed, count_message, duration_message};
+use crate::convert::{self, AssignmentJob, HandJobs, Parsed, count_message, duration_message};
 use crate::deadline::{CallClock, CancelOnDrop};
 use crate::engine::{Answer, Call, Engine, OnBetter, Repeatable, Task};
 use crate::error::{FieldError, ServiceError};
@@ -116,6 +116,7 @@ impl PlannerService for PlannerApi {
         let mut record = self.record(request.record, &clock, || Recorded::PlanMultiHand(request.clone()));
         let is_recorded = record.is_some();
         let Parsed { scene, jobs, request_id } = convert::multi_hand(request).map_err(ServiceError::from)?;
+        let HandJobs { jobs, assignment } = jobs;
         let mut tasks =
             jobs.into_iter().map(|job| self.engine.task(&caller, job)).collect::<Result<Vec<_>, _>>()?;
         let call = self.engine.call(clock, &caller, scene)?;
@@ -162,7 +163,7 @@ impl PlannerService for PlannerApi {
             tokio::select! {
                 biased;
                 () = sender.closed() => {}
-                () = send_results(&call, answers, &sender, &mut record) => {}
+                () = send_results(&call, answers, assignment.as_ref(), &sender, &mut record) => {}
                 () = call.answer_due() => {
                     // What has been answered is on its way; the rest was not done in time.
                     sender.send(Err(call.late("with hands that have no answer").into())).await.ok();
@@ -225,17 +226,22 @@ fn repeatable(request_id: Option<String>, caller: &Caller, asked: u64) -> Option
 async fn send_results(
     call: &Call,
     mut answers: JoinSet<(Task, Answer)>,
+    assignment: Option<&AssignmentJob>,
     sender: &mpsc::Sender<Result<v1::PlanMultiHandResponse, Status>>,
     record: &mut Option<CallRecord>,
 ) {
     let mut summary = v1::MultiHandSummary::default();
     let mut failed = 0;
     let (mut with, mut without) = (0, 0);
+    let mut planned: Vec<(Task, v1::PlanGraspsResponse)> = Vec::new();
     while let Some(joined) = answers.join_next().await {
         // A task of the runtime ends early only when the runtime itself ends.
         let Ok((task, answer)) = joined else { return };
         if let Some(record) = record {
             record.push(task.id(), Some(task.hand()), &answer);
+        }
+        if let (Some(_), Ok(response)) = (assignment, &answer) {
+            planned.push((task.clone(), response.clone()));
         }
         match &answer {
             Ok(response) if response.grasps.is_empty() => without += 1,
@@ -255,6 +261,9 @@ async fn send_results(
     summary.with_grasp_count = count_message(with);
     summary.without_grasp_count = count_message(without);
     summary.failed_count = count_message(failed);
+    summary.assignment = assignment.map(|job| {
+        job.assign(|id| planned.iter().find(|(task, _)| task.id() == id).map(|(task, r)| (&**task.hand(), r)))
+    });
     summary.total_duration = Some(duration_message(call.elapsed()));
     let event = Some(plan_multi_hand_response::Event::Summary(summary));
     // A caller that left before the last message needs no summary.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::{Joints, Kinematics};
 
@@ -41,6 +41,23 @@ impl Kinematics {
         }
         let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
         Isometry3::from_parts(Translation3::from(at), rotation)
+    }
+
+    /// Origins of the base and of the frames after each joint in the base frame, of the Denavit-Hartenberg table: the arm's
+    /// bones. Next to the first pair, the upper arm lies beside its bone by about `d4` along the axis of the shoulder, which
+    /// is returned too (unit length).
+    pub fn bones(&self, joints: &Joints) -> ([Point3<f64>; 7], Vector3<f64>) {
+        let mut at = Isometry3::identity();
+        let mut points = [Point3::origin(); 7];
+        let mut axis = Vector3::z();
+        for (i, (theta, (d, a, alpha))) in joints.iter().zip(self.rows()).enumerate() {
+            at *= link(*theta, d, a, alpha);
+            points[i + 1] = Point3::from(at.translation.vector);
+            if i == 0 {
+                axis = at.rotation * Vector3::z();
+            }
+        }
+        (points, axis)
     }
 
     /// Speeds of the flange (linear, then angular, base frame) by speeds of joints.
@@ -88,6 +105,22 @@ mod tests {
             let column = arm.jacobian(&q).column(joint).into_owned();
             prop_assert!((column.fixed_rows::<3>(0) - linear).norm() < 1e-7);
             prop_assert!((column.fixed_rows::<3>(3) - angular).norm() < 1e-7);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_last_bone_ends_at_the_flange_and_bones_keep_their_lengths(q in prop::array::uniform6(-3.0..3.0f64)) {
+            let arm = Kinematics::new(Model::Ur5e);
+            let (points, axis) = arm.bones(&q);
+            prop_assert!((points[6].coords - arm.forward(&q).translation.vector).norm() < 1e-9);
+            let dh = arm.dh();
+            let lengths = [dh.d1, -dh.a2, -dh.a3, dh.d4, dh.d5, dh.d6];
+            for (pair, length) in points.windows(2).zip(lengths) {
+                prop_assert!(((pair[1] - pair[0]).norm() - length).abs() < 1e-9);
+            }
+            // The shoulder's axis is the elbow's and that of wrist 1.
+            prop_assert!((points[4] - points[3] - axis * dh.d4).norm() < 1e-9);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! `[simulation]`: the world of mock and emulated devices, as the cell's file says.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
@@ -41,6 +42,8 @@ pub(super) struct Simulation {
     pub(super) faults: DeviceFaults,
     /// What goes wrong with emulated devices.
     pub(super) wire_faults: WireFaults,
+    /// What goes wrong with one of several arms, by its name.
+    pub(super) arms: BTreeMap<String, ArmTrouble>,
 }
 
 impl Default for Simulation {
@@ -56,11 +59,17 @@ impl Default for Simulation {
             speed: 0.0,
             faults: DeviceFaults::default(),
             wire_faults: WireFaults::default(),
+            arms: BTreeMap::new(),
         }
     }
 }
 
 impl Simulation {
+    /// What goes wrong with the mock devices of one of several arms.
+    pub(super) fn arm_faults(&self, name: &str) -> DeviceFaults {
+        self.arms.get(name).map(|trouble| trouble.faults.clone()).unwrap_or_default()
+    }
+
     /// Sizes of the objects that are drawn: what the hand can take, unless it is said.
     pub(super) fn sizes(&self, hand: &graspd_hands::Hand) -> anyhow::Result<Sizes> {
         let opening = hand.opening.unwrap_or(Opening { min_m: 0.0, max_m: WIDEST_OPENING_M });
@@ -102,6 +111,16 @@ pub(super) struct DeviceFaults {
     pub(super) camera: Faults,
     pub(super) arm: Faults,
     pub(super) hand: Faults,
+}
+
+/// `[simulation.arms.NAME]`
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct ArmTrouble {
+    /// Of mock devices.
+    pub(super) faults: DeviceFaults,
+    /// Of emulated ones.
+    pub(super) wire_faults: WireFaults,
 }
 
 /// `[simulation.wire_faults]`: as `graspd emulate --fault` takes them, counted from the beginning of the run.

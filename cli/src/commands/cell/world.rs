@@ -123,7 +123,7 @@ async fn wired(config: &CellConfig) -> anyhow::Result<Devices> {
 }
 
 /// A camera of the simulated world.
-fn camera(
+pub(super) fn camera(
     config: &CellConfig,
     section: &Section<'_>,
     simulation: &Simulation,
@@ -144,12 +144,18 @@ fn camera(
 }
 
 /// Faults of emulated devices to come.
-struct Trouble {
-    arm: Vec<FaultRequest>,
-    hand: Vec<FaultRequest>,
+pub(super) struct Trouble {
+    pub(super) arm: Vec<FaultRequest>,
+    pub(super) hand: Vec<FaultRequest>,
 }
 
 impl Trouble {
+    /// Of one of several arms.
+    pub(super) fn read_for(simulation: &Simulation, config: &CellConfig, arm: &str) -> anyhow::Result<Self> {
+        let faults = simulation.arms.get(arm).map(|t| t.wire_faults.clone()).unwrap_or_default();
+        Self::read(&faults, config).with_context(|| format!("simulation.arms.{arm}"))
+    }
+
     fn read(faults: &WireFaults, config: &CellConfig) -> anyhow::Result<Self> {
         let hand = if config.hand.kind == "leap" { FaultyDevice::Dynamixel } else { FaultyDevice::Robotiq };
         let [_, arm_section, hand_section] = sections(config);
@@ -169,7 +175,7 @@ impl Trouble {
 }
 
 /// An arm behind its emulated wire, whose body is the wrist of the world's hand.
-async fn emulated_arm(
+pub(super) async fn emulated_arm(
     config: &CellConfig,
     shared: &SharedWorld,
     mounted: HandId,
@@ -198,7 +204,7 @@ async fn emulated_arm(
 }
 
 /// A hand behind its emulated wire, whose body is the fingers of the world's hand.
-async fn emulated_hand(
+pub(super) async fn emulated_hand(
     config: &CellConfig,
     shared: &SharedWorld,
     mounted: HandId,
@@ -241,7 +247,7 @@ async fn emulated_hand(
 }
 
 /// A free table as the settings that it stands for; what is wrong names the table.
-fn table<T: DeserializeOwned>(name: &str, table: toml::Table) -> anyhow::Result<T> {
+pub(super) fn table<T: DeserializeOwned>(name: &str, table: toml::Table) -> anyhow::Result<T> {
     toml::Value::Table(table).try_into().map_err(|e: toml::de::Error| anyhow::anyhow!("{name}: {e}"))
 }
 

@@ -170,7 +170,8 @@ fn tasks_are_checked_one_by_one() {
     let task =
         |id: &str| v1::HandTask { task_id: id.to_owned(), hand: "hands/leap".to_owned(), options: None };
     let with = |tasks| v1::PlanMultiHandRequest { frames: vec![frame()], tasks, ..Default::default() };
-    let Parsed { jobs, .. } = multi_hand(with(vec![task("left"), task("right")])).unwrap();
+    let Parsed { jobs: HandJobs { jobs, .. }, .. } =
+        multi_hand(with(vec![task("left"), task("right")])).unwrap();
     assert_eq!(jobs.iter().map(|j| j.task_id.as_str()).collect::<Vec<_>>(), ["left", "right"]);
     let bad_hand = v1::HandTask { hand: "x".to_owned(), ..task("b") };
     for (tasks, field) in [

@@ -24,50 +24,51 @@ _sym_db = _symbol_database.Default()
 
 from google.protobuf import duration_pb2 as google_dot_protobuf_dot_duration__pb2
 from google.protobuf import timestamp_pb2 as google_dot_protobuf_dot_timestamp__pb2
+from graspd.v1 import assignment_pb2 as graspd_dot_v1_dot_assignment__pb2
 from graspd.v1 import frame_pb2 as graspd_dot_v1_dot_frame__pb2
 from graspd.v1 import grasp_pb2 as graspd_dot_v1_dot_grasp__pb2
 from graspd.v1 import options_pb2 as graspd_dot_v1_dot_options__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1fgraspd/v1/planner_service.proto\x12\tgraspd.v1\x1a\x1egoogle/protobuf/duration.proto\x1a\x1fgoogle/protobuf/timestamp.proto\x1a\x15graspd/v1/frame.proto\x1a\x15graspd/v1/grasp.proto\x1a\x17graspd/v1/options.proto\"\xc5\x01\n\x11PlanGraspsRequest\x12\x0c\n\x04hand\x18\x01 \x01(\t\x12%\n\x06\x66rames\x18\x02 \x03(\x0b\x32\x15.graspd.v1.DepthFrame\x12.\n\rscene_options\x18\x03 \x01(\x0b\x32\x17.graspd.v1.SceneOptions\x12\'\n\x07options\x18\x04 \x01(\x0b\x32\x16.graspd.v1.PlanOptions\x12\x12\n\nrequest_id\x18\x05 \x01(\t\x12\x0e\n\x06record\x18\x14 \x01(\x08\"\xdb\x02\n\x12PlanGraspsResponse\x12 \n\x06grasps\x18\x01 \x03(\x0b\x32\x10.graspd.v1.Grasp\x12$\n\x08no_grasp\x18\x02 \x01(\x0b\x32\x12.graspd.v1.NoGrasp\x12\'\n\tworkspace\x18\x03 \x01(\x0b\x32\x14.graspd.v1.Workspace\x12#\n\x05stats\x18\x04 \x01(\x0b\x32\x14.graspd.v1.PlanStats\x12(\n\x05trace\x18\x05 \x03(\x0b\x32\x19.graspd.v1.ObjectiveTerms\x12\x30\n\x0c\x63\x61pture_time\x18\x06 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x0f\n\x07plan_id\x18\x14 \x01(\t\x12\x10\n\x08recorded\x18\x15 \x01(\x08\x12\x30\n\x0b\x63\x61libration\x18\x16 \x01(\x0b\x32\x1b.graspd.v1.ScoreCalibration\"h\n\x10ScoreCalibration\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x15\n\routcome_count\x18\x02 \x01(\x05\x12/\n\x0b\x63reate_time\x18\x03 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\"A\n\x13StreamGraspsRequest\x12*\n\x04plan\x18\x01 \x01(\x0b\x32\x1c.graspd.v1.PlanGraspsRequest\"\xae\x01\n\x14StreamGraspsResponse\x12\'\n\x08\x61\x63\x63\x65pted\x18\x01 \x01(\x0b\x32\x13.graspd.v1.AcceptedH\x00\x12\x31\n\x08improved\x18\x02 \x01(\x0b\x32\x1d.graspd.v1.PlanGraspsResponseH\x00\x12\x31\n\x08\x66inished\x18\x03 \x01(\x0b\x32\x1d.graspd.v1.PlanGraspsResponseH\x00\x42\x07\n\x05\x65vent\"\"\n\x08\x41\x63\x63\x65pted\x12\x16\n\x0equeue_position\x18\x01 \x01(\x05\"\xb5\x01\n\x14PlanMultiHandRequest\x12%\n\x06\x66rames\x18\x01 \x03(\x0b\x32\x15.graspd.v1.DepthFrame\x12.\n\rscene_options\x18\x02 \x01(\x0b\x32\x17.graspd.v1.SceneOptions\x12\"\n\x05tasks\x18\x03 \x03(\x0b\x32\x13.graspd.v1.HandTask\x12\x12\n\nrequest_id\x18\x04 \x01(\t\x12\x0e\n\x06record\x18\x14 \x01(\x08\"R\n\x08HandTask\x12\x0f\n\x07task_id\x18\x01 \x01(\t\x12\x0c\n\x04hand\x18\x02 \x01(\t\x12\'\n\x07options\x18\x03 \x01(\x0b\x32\x16.graspd.v1.PlanOptions\"}\n\x15PlanMultiHandResponse\x12+\n\x06result\x18\x01 \x01(\x0b\x32\x19.graspd.v1.HandTaskResultH\x00\x12.\n\x07summary\x18\x02 \x01(\x0b\x32\x1b.graspd.v1.MultiHandSummaryH\x00\x42\x07\n\x05\x65vent\"\x86\x01\n\x0eHandTaskResult\x12\x0f\n\x07task_id\x18\x01 \x01(\t\x12\x31\n\x08response\x18\x02 \x01(\x0b\x32\x1d.graspd.v1.PlanGraspsResponseH\x00\x12%\n\x05\x65rror\x18\x03 \x01(\x0b\x32\x14.graspd.v1.TaskErrorH\x00\x42\t\n\x07outcome\"o\n\tTaskError\x12\x0c\n\x04\x63ode\x18\x01 \x01(\x05\x12\x0f\n\x07message\x18\x02 \x01(\t\x12\x0e\n\x06reason\x18\x03 \x01(\t\x12\x33\n\x10\x66ield_violations\x18\x04 \x03(\x0b\x32\x19.graspd.v1.FieldViolation\"4\n\x0e\x46ieldViolation\x12\r\n\x05\x66ield\x18\x01 \x01(\t\x12\x13\n\x0b\x64\x65scription\x18\x02 \x01(\t\"\x92\x01\n\x10MultiHandSummary\x12\x18\n\x10with_grasp_count\x18\x01 \x01(\x05\x12\x1b\n\x13without_grasp_count\x18\x02 \x01(\x05\x12\x14\n\x0c\x66\x61iled_count\x18\x03 \x01(\x05\x12\x31\n\x0etotal_duration\x18\x04 \x01(\x0b\x32\x19.google.protobuf.Duration\"t\n\x14ReportOutcomeRequest\x12\x0f\n\x07plan_id\x18\x01 \x01(\t\x12\x13\n\x0bgrasp_index\x18\x02 \x01(\x05\x12(\n\x07outcome\x18\x03 \x01(\x0e\x32\x17.graspd.v1.GraspOutcome\x12\x0c\n\x04note\x18\x04 \x01(\t\"0\n\x15ReportOutcomeResponse\x12\x17\n\x0frepeated_report\x18\x01 \x01(\x08*\xac\x02\n\x0cGraspOutcome\x12\x1d\n\x19GRASP_OUTCOME_UNSPECIFIED\x10\x00\x12\x19\n\x15GRASP_OUTCOME_SUCCESS\x10\x01\x12\x1b\n\x17GRASP_OUTCOME_COLLISION\x10\x02\x12\"\n\x1eGRASP_OUTCOME_UNSTABLE_CONTACT\x10\x03\x12\x1e\n\x1aGRASP_OUTCOME_LOST_LIFTING\x10\x04\x12\x1f\n\x1bGRASP_OUTCOME_LOST_CARRYING\x10\x05\x12\x1f\n\x1bGRASP_OUTCOME_NOT_DELIVERED\x10\x06\x12\x1f\n\x1bGRASP_OUTCOME_OTHER_FAILURE\x10\x07\x12\x1e\n\x1aGRASP_OUTCOME_NOT_EXECUTED\x10\x08\x32\xd8\x02\n\x0ePlannerService\x12I\n\nPlanGrasps\x12\x1c.graspd.v1.PlanGraspsRequest\x1a\x1d.graspd.v1.PlanGraspsResponse\x12Q\n\x0cStreamGrasps\x12\x1e.graspd.v1.StreamGraspsRequest\x1a\x1f.graspd.v1.StreamGraspsResponse0\x01\x12T\n\rPlanMultiHand\x12\x1f.graspd.v1.PlanMultiHandRequest\x1a .graspd.v1.PlanMultiHandResponse0\x01\x12R\n\rReportOutcome\x12\x1f.graspd.v1.ReportOutcomeRequest\x1a .graspd.v1.ReportOutcomeResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1fgraspd/v1/planner_service.proto\x12\tgraspd.v1\x1a\x1egoogle/protobuf/duration.proto\x1a\x1fgoogle/protobuf/timestamp.proto\x1a\x1agraspd/v1/assignment.proto\x1a\x15graspd/v1/frame.proto\x1a\x15graspd/v1/grasp.proto\x1a\x17graspd/v1/options.proto\"\xc5\x01\n\x11PlanGraspsRequest\x12\x0c\n\x04hand\x18\x01 \x01(\t\x12%\n\x06\x66rames\x18\x02 \x03(\x0b\x32\x15.graspd.v1.DepthFrame\x12.\n\rscene_options\x18\x03 \x01(\x0b\x32\x17.graspd.v1.SceneOptions\x12\'\n\x07options\x18\x04 \x01(\x0b\x32\x16.graspd.v1.PlanOptions\x12\x12\n\nrequest_id\x18\x05 \x01(\t\x12\x0e\n\x06record\x18\x14 \x01(\x08\"\xdb\x02\n\x12PlanGraspsResponse\x12 \n\x06grasps\x18\x01 \x03(\x0b\x32\x10.graspd.v1.Grasp\x12$\n\x08no_grasp\x18\x02 \x01(\x0b\x32\x12.graspd.v1.NoGrasp\x12\'\n\tworkspace\x18\x03 \x01(\x0b\x32\x14.graspd.v1.Workspace\x12#\n\x05stats\x18\x04 \x01(\x0b\x32\x14.graspd.v1.PlanStats\x12(\n\x05trace\x18\x05 \x03(\x0b\x32\x19.graspd.v1.ObjectiveTerms\x12\x30\n\x0c\x63\x61pture_time\x18\x06 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x0f\n\x07plan_id\x18\x14 \x01(\t\x12\x10\n\x08recorded\x18\x15 \x01(\x08\x12\x30\n\x0b\x63\x61libration\x18\x16 \x01(\x0b\x32\x1b.graspd.v1.ScoreCalibration\"h\n\x10ScoreCalibration\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x15\n\routcome_count\x18\x02 \x01(\x05\x12/\n\x0b\x63reate_time\x18\x03 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\"A\n\x13StreamGraspsRequest\x12*\n\x04plan\x18\x01 \x01(\x0b\x32\x1c.graspd.v1.PlanGraspsRequest\"\xae\x01\n\x14StreamGraspsResponse\x12\'\n\x08\x61\x63\x63\x65pted\x18\x01 \x01(\x0b\x32\x13.graspd.v1.AcceptedH\x00\x12\x31\n\x08improved\x18\x02 \x01(\x0b\x32\x1d.graspd.v1.PlanGraspsResponseH\x00\x12\x31\n\x08\x66inished\x18\x03 \x01(\x0b\x32\x1d.graspd.v1.PlanGraspsResponseH\x00\x42\x07\n\x05\x65vent\"\"\n\x08\x41\x63\x63\x65pted\x12\x16\n\x0equeue_position\x18\x01 \x01(\x05\"\xe7\x01\n\x14PlanMultiHandRequest\x12%\n\x06\x66rames\x18\x01 \x03(\x0b\x32\x15.graspd.v1.DepthFrame\x12.\n\rscene_options\x18\x02 \x01(\x0b\x32\x17.graspd.v1.SceneOptions\x12\"\n\x05tasks\x18\x03 \x03(\x0b\x32\x13.graspd.v1.HandTask\x12\x12\n\nrequest_id\x18\x04 \x01(\t\x12\x30\n\nassignment\x18\x05 \x01(\x0b\x32\x1c.graspd.v1.AssignmentRequest\x12\x0e\n\x06record\x18\x14 \x01(\x08\"R\n\x08HandTask\x12\x0f\n\x07task_id\x18\x01 \x01(\t\x12\x0c\n\x04hand\x18\x02 \x01(\t\x12\'\n\x07options\x18\x03 \x01(\x0b\x32\x16.graspd.v1.PlanOptions\"}\n\x15PlanMultiHandResponse\x12+\n\x06result\x18\x01 \x01(\x0b\x32\x19.graspd.v1.HandTaskResultH\x00\x12.\n\x07summary\x18\x02 \x01(\x0b\x32\x1b.graspd.v1.MultiHandSummaryH\x00\x42\x07\n\x05\x65vent\"\x86\x01\n\x0eHandTaskResult\x12\x0f\n\x07task_id\x18\x01 \x01(\t\x12\x31\n\x08response\x18\x02 \x01(\x0b\x32\x1d.graspd.v1.PlanGraspsResponseH\x00\x12%\n\x05\x65rror\x18\x03 \x01(\x0b\x32\x14.graspd.v1.TaskErrorH\x00\x42\t\n\x07outcome\"o\n\tTaskError\x12\x0c\n\x04\x63ode\x18\x01 \x01(\x05\x12\x0f\n\x07message\x18\x02 \x01(\t\x12\x0e\n\x06reason\x18\x03 \x01(\t\x12\x33\n\x10\x66ield_violations\x18\x04 \x03(\x0b\x32\x19.graspd.v1.FieldViolation\"4\n\x0e\x46ieldViolation\x12\r\n\x05\x66ield\x18\x01 \x01(\t\x12\x13\n\x0b\x64\x65scription\x18\x02 \x01(\t\"\xbd\x01\n\x10MultiHandSummary\x12\x18\n\x10with_grasp_count\x18\x01 \x01(\x05\x12\x1b\n\x13without_grasp_count\x18\x02 \x01(\x05\x12\x14\n\x0c\x66\x61iled_count\x18\x03 \x01(\x05\x12\x31\n\x0etotal_duration\x18\x04 \x01(\x0b\x32\x19.google.protobuf.Duration\x12)\n\nassignment\x18\x05 \x01(\x0b\x32\x15.graspd.v1.Assignment\"t\n\x14ReportOutcomeRequest\x12\x0f\n\x07plan_id\x18\x01 \x01(\t\x12\x13\n\x0bgrasp_index\x18\x02 \x01(\x05\x12(\n\x07outcome\x18\x03 \x01(\x0e\x32\x17.graspd.v1.GraspOutcome\x12\x0c\n\x04note\x18\x04 \x01(\t\"0\n\x15ReportOutcomeResponse\x12\x17\n\x0frepeated_report\x18\x01 \x01(\x08*\xac\x02\n\x0cGraspOutcome\x12\x1d\n\x19GRASP_OUTCOME_UNSPECIFIED\x10\x00\x12\x19\n\x15GRASP_OUTCOME_SUCCESS\x10\x01\x12\x1b\n\x17GRASP_OUTCOME_COLLISION\x10\x02\x12\"\n\x1eGRASP_OUTCOME_UNSTABLE_CONTACT\x10\x03\x12\x1e\n\x1aGRASP_OUTCOME_LOST_LIFTING\x10\x04\x12\x1f\n\x1bGRASP_OUTCOME_LOST_CARRYING\x10\x05\x12\x1f\n\x1bGRASP_OUTCOME_NOT_DELIVERED\x10\x06\x12\x1f\n\x1bGRASP_OUTCOME_OTHER_FAILURE\x10\x07\x12\x1e\n\x1aGRASP_OUTCOME_NOT_EXECUTED\x10\x08\x32\xd8\x02\n\x0ePlannerService\x12I\n\nPlanGrasps\x12\x1c.graspd.v1.PlanGraspsRequest\x1a\x1d.graspd.v1.PlanGraspsResponse\x12Q\n\x0cStreamGrasps\x12\x1e.graspd.v1.StreamGraspsRequest\x1a\x1f.graspd.v1.StreamGraspsResponse0\x01\x12T\n\rPlanMultiHand\x12\x1f.graspd.v1.PlanMultiHandRequest\x1a .graspd.v1.PlanMultiHandResponse0\x01\x12R\n\rReportOutcome\x12\x1f.graspd.v1.ReportOutcomeRequest\x1a .graspd.v1.ReportOutcomeResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'graspd.v1.planner_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_GRASPOUTCOME']._serialized_start=2135
-  _globals['_GRASPOUTCOME']._serialized_end=2435
-  _globals['_PLANGRASPSREQUEST']._serialized_start=183
-  _globals['_PLANGRASPSREQUEST']._serialized_end=380
-  _globals['_PLANGRASPSRESPONSE']._serialized_start=383
-  _globals['_PLANGRASPSRESPONSE']._serialized_end=730
-  _globals['_SCORECALIBRATION']._serialized_start=732
-  _globals['_SCORECALIBRATION']._serialized_end=836
-  _globals['_STREAMGRASPSREQUEST']._serialized_start=838
-  _globals['_STREAMGRASPSREQUEST']._serialized_end=903
-  _globals['_STREAMGRASPSRESPONSE']._serialized_start=906
-  _globals['_STREAMGRASPSRESPONSE']._serialized_end=1080
-  _globals['_ACCEPTED']._serialized_start=1082
-  _globals['_ACCEPTED']._serialized_end=1116
-  _globals['_PLANMULTIHANDREQUEST']._serialized_start=1119
-  _globals['_PLANMULTIHANDREQUEST']._serialized_end=1300
-  _globals['_HANDTASK']._serialized_start=1302
-  _globals['_HANDTASK']._serialized_end=1384
-  _globals['_PLANMULTIHANDRESPONSE']._serialized_start=1386
-  _globals['_PLANMULTIHANDRESPONSE']._serialized_end=1511
-  _globals['_HANDTASKRESULT']._serialized_start=1514
-  _globals['_HANDTASKRESULT']._serialized_end=1648
-  _globals['_TASKERROR']._serialized_start=1650
-  _globals['_TASKERROR']._serialized_end=1761
-  _globals['_FIELDVIOLATION']._serialized_start=1763
-  _globals['_FIELDVIOLATION']._serialized_end=1815
-  _globals['_MULTIHANDSUMMARY']._serialized_start=1818
-  _globals['_MULTIHANDSUMMARY']._serialized_end=1964
-  _globals['_REPORTOUTCOMEREQUEST']._serialized_start=1966
-  _globals['_REPORTOUTCOMEREQUEST']._serialized_end=2082
-  _globals['_REPORTOUTCOMERESPONSE']._serialized_start=2084
-  _globals['_REPORTOUTCOMERESPONSE']._serialized_end=2132
-  _globals['_PLANNERSERVICE']._serialized_start=2438
-  _globals['_PLANNERSERVICE']._serialized_end=2782
+  _globals['_GRASPOUTCOME']._serialized_start=2256
+  _globals['_GRASPOUTCOME']._serialized_end=2556
+  _globals['_PLANGRASPSREQUEST']._serialized_start=211
+  _globals['_PLANGRASPSREQUEST']._serialized_end=408
+  _globals['_PLANGRASPSRESPONSE']._serialized_start=411
+  _globals['_PLANGRASPSRESPONSE']._serialized_end=758
+  _globals['_SCORECALIBRATION']._serialized_start=760
+  _globals['_SCORECALIBRATION']._serialized_end=864
+  _globals['_STREAMGRASPSREQUEST']._serialized_start=866
+  _globals['_STREAMGRASPSREQUEST']._serialized_end=931
+  _globals['_STREAMGRASPSRESPONSE']._serialized_start=934
+  _globals['_STREAMGRASPSRESPONSE']._serialized_end=1108
+  _globals['_ACCEPTED']._serialized_start=1110
+  _globals['_ACCEPTED']._serialized_end=1144
+  _globals['_PLANMULTIHANDREQUEST']._serialized_start=1147
+  _globals['_PLANMULTIHANDREQUEST']._serialized_end=1378
+  _globals['_HANDTASK']._serialized_start=1380
+  _globals['_HANDTASK']._serialized_end=1462
+  _globals['_PLANMULTIHANDRESPONSE']._serialized_start=1464
+  _globals['_PLANMULTIHANDRESPONSE']._serialized_end=1589
+  _globals['_HANDTASKRESULT']._serialized_start=1592
+  _globals['_HANDTASKRESULT']._serialized_end=1726
+  _globals['_TASKERROR']._serialized_start=1728
+  _globals['_TASKERROR']._serialized_end=1839
+  _globals['_FIELDVIOLATION']._serialized_start=1841
+  _globals['_FIELDVIOLATION']._serialized_end=1893
+  _globals['_MULTIHANDSUMMARY']._serialized_start=1896
+  _globals['_MULTIHANDSUMMARY']._serialized_end=2085
+  _globals['_REPORTOUTCOMEREQUEST']._serialized_start=2087
+  _globals['_REPORTOUTCOMEREQUEST']._serialized_end=2203
+  _globals['_REPORTOUTCOMERESPONSE']._serialized_start=2205
+  _globals['_REPORTOUTCOMERESPONSE']._serialized_end=2253
+  _globals['_PLANNERSERVICE']._serialized_start=2559
+  _globals['_PLANNERSERVICE']._serialized_end=2903
 # @@protoc_insertion_point(module_scope)

@@ -10,6 +10,7 @@ from google.protobuf import message as _message
 from google.protobuf import timestamp_pb2 as _timestamp_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from graspd.v1 import assignment_pb2 as _assignment_pb2
 from graspd.v1 import frame_pb2 as _frame_pb2
 from graspd.v1 import grasp_pb2 as _grasp_pb2
 from graspd.v1 import options_pb2 as _options_pb2
@@ -323,6 +324,7 @@ class PlanMultiHandRequest(_message.Message):
     SCENE_OPTIONS_FIELD_NUMBER: _builtins.int
     TASKS_FIELD_NUMBER: _builtins.int
     REQUEST_ID_FIELD_NUMBER: _builtins.int
+    ASSIGNMENT_FIELD_NUMBER: _builtins.int
     RECORD_FIELD_NUMBER: _builtins.int
     request_id: _builtins.str
     """As PlanGraspsRequest.request_id, for the answer of each task by itself: a repetition plans only for the tasks
@@ -342,6 +344,10 @@ class PlanMultiHandRequest(_message.Message):
     def tasks(self) -> _containers.RepeatedCompositeFieldContainer[Global___HandTask]:
         """One for each hand, 1 to 16. Required."""
 
+    @_builtins.property
+    def assignment(self) -> _assignment_pb2.AssignmentRequest:
+        """Unset: no assignment is made."""
+
     def __init__(
         self,
         *,
@@ -349,11 +355,12 @@ class PlanMultiHandRequest(_message.Message):
         scene_options: _options_pb2.SceneOptions | None = ...,
         tasks: _abc.Iterable[Global___HandTask] | None = ...,
         request_id: _builtins.str = ...,
+        assignment: _assignment_pb2.AssignmentRequest | None = ...,
         record: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["scene_options", b"scene_options"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["assignment", b"assignment", "scene_options", b"scene_options"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "record", b"record", "request_id", b"request_id", "scene_options", b"scene_options", "tasks", b"tasks"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["assignment", b"assignment", "frames", b"frames", "record", b"record", "request_id", b"request_id", "scene_options", b"scene_options", "tasks", b"tasks"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -531,6 +538,7 @@ class MultiHandSummary(_message.Message):
     WITHOUT_GRASP_COUNT_FIELD_NUMBER: _builtins.int
     FAILED_COUNT_FIELD_NUMBER: _builtins.int
     TOTAL_DURATION_FIELD_NUMBER: _builtins.int
+    ASSIGNMENT_FIELD_NUMBER: _builtins.int
     with_grasp_count: _builtins.int
     """Tasks with at least one grasp."""
     without_grasp_count: _builtins.int
@@ -541,6 +549,10 @@ class MultiHandSummary(_message.Message):
     def total_duration(self) -> _duration_pb2.Duration:
         """From the arrival of the request to this message."""
 
+    @_builtins.property
+    def assignment(self) -> _assignment_pb2.Assignment:
+        """Set exactly when the request asked for it. Tasks without an answer have no grasps in it."""
+
     def __init__(
         self,
         *,
@@ -548,10 +560,11 @@ class MultiHandSummary(_message.Message):
         without_grasp_count: _builtins.int = ...,
         failed_count: _builtins.int = ...,
         total_duration: _duration_pb2.Duration | None = ...,
+        assignment: _assignment_pb2.Assignment | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["total_duration", b"total_duration"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["assignment", b"assignment", "total_duration", b"total_duration"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["failed_count", b"failed_count", "total_duration", b"total_duration", "with_grasp_count", b"with_grasp_count", "without_grasp_count", b"without_grasp_count"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["assignment", b"assignment", "failed_count", b"failed_count", "total_duration", b"total_duration", "with_grasp_count", b"with_grasp_count", "without_grasp_count", b"without_grasp_count"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
