@@ -298,7 +298,7 @@ impl Metrics {
 
 /// A method as a label: those that there are, and one name for all others, so that nobody makes labels.
 fn method(path: &str) -> &'static str {
-    const KNOWN: [&str; 8] = [
+    const KNOWN: [&str; 9] = [
         "/graspd.v1.PlannerService/PlanGrasps",
         "/graspd.v1.PlannerService/StreamGrasps",
         "/graspd.v1.PlannerService/PlanMultiHand",

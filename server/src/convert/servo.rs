@@ -11,6 +11,7 @@ use super::geometry::{pose, pose_message};
 use super::grasp::grasp_message;
 use super::options::{plan_options, scene_options};
 use super::{EncodedFrame, PlanContext, count, duration_message, hand_id, join, known_enum, number_within};
+use crate::calibration::Calibration;
 use crate::error::FieldError;
 
 /// Most joints that a hand's posture may have; the hand itself decides how many it must have.
@@ -149,6 +150,8 @@ pub(crate) struct ServoWords<'a> {
     pub(crate) shed: u64,
     /// Why the last refused frame was.
     pub(crate) refused: String,
+    /// What scores become.
+    pub(crate) calibration: Option<&'a Calibration>,
 }
 
 /// The answer to a frame.
@@ -160,6 +163,9 @@ pub(crate) fn servo_answer(answer: &Answer, words: ServoWords<'_>) -> v1::ServoG
         capture_time: words.capture_time,
         estimator: "",
         seed: 0,
+        // A stream is no plan whose outcome could be reported.
+        plan_id: "",
+        calibration: words.calibration,
         stages: &[],
         invalid_pixels: 0,
         queued: Duration::ZERO,

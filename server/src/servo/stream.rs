@@ -267,6 +267,7 @@ impl ServoStream {
                 unreadable: tally.unreadable + unread,
                 shed: tally.shed,
                 refused: std::mem::take(&mut tally.refused),
+                calibration: engine.calibration.as_deref(),
             };
             tracing::trace!(sequence, state = ?answer.state, tracking = answer.state == State::Tracking, "servo");
             permit.send(Ok(servo_answer(&answer, words)));
