@@ -27,7 +27,7 @@ fn bench_with(config: BusConfig, change: impl FnOnce(&mut LeapSettings)) -> Benc
         port: bus.path().display().to_string(),
         armed: true,
         // The machine that tests may be busy.
-        reply_timeout_ms: 100,
+        reply_timeout_ms: 300,
         watchdog_ms: 2000,
         ..LeapSettings::default()
     };
@@ -207,13 +207,15 @@ async fn a_line_that_stays_disturbed_is_an_error_that_says_so() {
         "{text}"
     );
     b.hand.state(PATIENT).await.unwrap();
-    b.bus.faults().change(|now| now.delay = Duration::from_millis(400));
+    b.bus.faults().change(|now| now.delay = Duration::from_millis(600));
     let error = b.hand.state(PATIENT).await.unwrap_err();
     assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
     b.bus.faults().clear();
     // What came late is not taken for an answer.
-    tokio::time::sleep(Duration::from_millis(500)).await;
-    b.hand.state(PATIENT).await.unwrap();
+    let until = Instant::now() + PATIENT;
+    while let Err(error) = b.hand.state(PATIENT).await {
+        assert!(Instant::now() < until, "{error}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -279,7 +281,7 @@ async fn a_silent_bus_is_an_error_in_bounded_time() {
         text.contains("none of 16 motors answers on") && text.contains("power, cable, baud rate?"),
         "{text}"
     );
-    assert!(began.elapsed() < Duration::from_secs(3));
+    assert!(began.elapsed() < PATIENT);
     let short = b.hand.state(Duration::from_millis(50)).await.unwrap_err();
     assert!(matches!(short, DeviceError::Timeout { operation: "state", .. }), "{short}");
 }
