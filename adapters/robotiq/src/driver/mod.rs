@@ -108,6 +108,11 @@ impl Driver {
         // Fingers that move as one are asked through the first of them. What the others then echo is their own request, which
         // nothing obeys, or that of the first: the register table leaves it open.
         let own = if self.request.individual { status.axes.len() } else { 1 };
-        status.axes.iter().zip(&self.request.axes).take(own).all(|(axis, asked)| axis.requested == asked.position)
+        status
+            .axes
+            .iter()
+            .zip(&self.request.axes)
+            .take(own)
+            .all(|(axis, asked)| axis.requested == asked.position)
     }
 }
