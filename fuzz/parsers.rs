@@ -21,7 +21,7 @@ use graspd_server::decode::{DepthEncoding, announced_size, depth as decode_depth
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 /// Packages of RTDE from a controller, whole and byte by byte.
-pub fn rtde(data: &[u8]) -> bool {
+pub(crate) fn rtde(data: &[u8]) -> bool {
     fn all(pieces: &[&[u8]]) -> Vec<Result<Package, String>> {
         let mut reader = PackageReader::default();
         let mut found = Vec::new();
@@ -47,7 +47,7 @@ pub fn rtde(data: &[u8]) -> bool {
 }
 
 /// Messages of the primary interface, whole and in two pieces.
-pub fn primary(data: &[u8]) -> bool {
+pub(crate) fn primary(data: &[u8]) -> bool {
     let mut whole = PrimaryReader::default();
     let found = whole.push(data);
     let mut pieces = PrimaryReader::default();
@@ -65,7 +65,7 @@ pub fn primary(data: &[u8]) -> bool {
 }
 
 /// An answer of the dashboard: no end of it that is cut off is taken for a line.
-pub fn dashboard(data: &[u8]) -> bool {
+pub(crate) fn dashboard(data: &[u8]) -> bool {
     let found = dashboard_line(data);
     if let Some(end) = data.iter().position(|b| *b == b'\n') {
         assert_eq!(found, dashboard_line(&data[..=end]));
@@ -76,7 +76,7 @@ pub fn dashboard(data: &[u8]) -> bool {
 
 /// What grippers answer to our master over RTU and TCP, read as each model's status; and the same bytes as requests to an
 /// emulated gripper.
-pub fn modbus_rtu(data: &[u8]) -> bool {
+pub(crate) fn modbus_rtu(data: &[u8]) -> bool {
     // Both are made once: runs are counted in millions.
     static RUNTIME: LazyLock<Option<tokio::runtime::Runtime>> =
         LazyLock::new(|| tokio::runtime::Builder::new_current_thread().enable_time().build().ok());
@@ -100,7 +100,9 @@ pub fn modbus_rtu(data: &[u8]) -> bool {
                 let slave = async {
                     // What comes before the request is no answer to it.
                     let mut request = [0; 64];
-                    theirs.read(&mut request).await?;
+                    if theirs.read(&mut request).await? == 0 {
+                        return Ok(());
+                    }
                     theirs.write_all(data).await?;
                     // Nothing comes after it: the answer is these bytes, or none.
                     theirs.shutdown().await
@@ -139,12 +141,12 @@ fn emulated_gripper(data: &[u8]) -> bool {
 }
 
 /// Answers of the wrist socket.
-pub fn wrist_socket(data: &[u8]) -> bool {
+pub(crate) fn wrist_socket(data: &[u8]) -> bool {
     socket_status(data).is_ok_and(|bytes| Model::TwoFinger85.decode(&bytes).is_ok())
 }
 
 /// Packets of Dynamixel protocol 2.0, both ways; what is read and written again is the same packet.
-pub fn dynamixel(data: &[u8]) -> bool {
+pub(crate) fn dynamixel(data: &[u8]) -> bool {
     let mut decoder = Decoder::new();
     let mut packets = Vec::new();
     decoder.push(data);
@@ -186,7 +188,7 @@ pub fn dynamixel(data: &[u8]) -> bool {
 }
 
 /// Recordings: EBML, the Matroska in it, calibration, images.
-pub fn mkv(data: &[u8]) -> bool {
+pub(crate) fn mkv(data: &[u8]) -> bool {
     let Ok(mut recording) = Recording::new(Cursor::new(data)) else { return false };
     // A file of so many bytes has no more images than these; a second reading must find the same.
     let count = |recording: &mut Recording<Cursor<&[u8]>>| {
@@ -204,12 +206,12 @@ pub fn mkv(data: &[u8]) -> bool {
 }
 
 /// The calibration that a recording carries.
-pub fn calibration(data: &[u8]) -> bool {
+pub(crate) fn calibration(data: &[u8]) -> bool {
     Calibration::from_json(data).is_ok()
 }
 
 /// Messages of rosbridge, as all that they may be.
-pub fn rosbridge(data: &[u8]) -> bool {
+pub(crate) fn rosbridge(data: &[u8]) -> bool {
     use messages::{CameraInfo, Envelope, Image, PointCloud2, Published};
     if serde_json::from_slice::<Envelope>(data).is_err() {
         return false;
@@ -229,12 +231,12 @@ pub fn rosbridge(data: &[u8]) -> bool {
 }
 
 /// A network's file.
-pub fn onnx(data: &[u8]) -> bool {
+pub(crate) fn onnx(data: &[u8]) -> bool {
     graspd_inference::Network::from_bytes(data).is_ok()
 }
 
 /// Depth images of requests: the first byte chooses the encoding, four more a size, the rest are the pixels.
-pub fn depth_frame(data: &[u8]) -> bool {
+pub(crate) fn depth_frame(data: &[u8]) -> bool {
     let Some(([kind, w0, w1, h0, h1], pixels)) = data.split_first_chunk::<5>() else { return false };
     let size = (usize::from(u16::from_le_bytes([*w0, *w1])), usize::from(u16::from_le_bytes([*h0, *h1])));
     let encoding = match kind % 3 {

@@ -4,7 +4,7 @@
 use std::f64::consts::PI;
 use std::time::{Duration, Instant};
 
-use graspd_adapters_core::{CloseCommand, DeviceError, FaultKind, GripCommand, Hand};
+use graspd_adapters_core::{CloseCommand, DeviceError, FaultKind, GripCommand, Hand, HandState};
 use graspd_adapters_dynamixel::Packet;
 use graspd_adapters_emulators::dynamixel::{BusConfig, BusEmulator, KinematicPlant, Obstacles};
 use graspd_adapters_emulators::line::{LineDevice, Reply, SerialLine};
@@ -27,7 +27,7 @@ fn bench_with(config: BusConfig, change: impl FnOnce(&mut LeapSettings)) -> Benc
         port: bus.path().display().to_string(),
         armed: true,
         // The machine that tests may be busy.
-        reply_timeout_ms: 100,
+        reply_timeout_ms: 300,
         watchdog_ms: 2000,
         ..LeapSettings::default()
     };
@@ -41,6 +41,20 @@ fn bench() -> Bench {
 
 fn grip(angle: f64) -> GripCommand {
     GripCommand { actuators: vec![angle; 16], speed: 1.0, force: 0.5 }
+}
+
+/// A motion of a hand whose watchdog is so short that a busy machine may let it fire: then it is asked again, as cells do.
+async fn grip_in_spite_of_pauses(hand: &LeapHand, command: &GripCommand) -> HandState {
+    let until = Instant::now() + PATIENT;
+    loop {
+        match hand.grip(command, PATIENT).await {
+            Ok(state) => return state,
+            Err(error) => {
+                let paused = error.to_string().contains("the motors' watchdog stopped them");
+                assert!(paused && Instant::now() < until, "{error}");
+            }
+        }
+    }
 }
 
 fn index_of(name: &str) -> usize {
@@ -193,13 +207,15 @@ async fn a_line_that_stays_disturbed_is_an_error_that_says_so() {
         "{text}"
     );
     b.hand.state(PATIENT).await.unwrap();
-    b.bus.faults().change(|now| now.delay = Duration::from_millis(400));
+    b.bus.faults().change(|now| now.delay = Duration::from_millis(600));
     let error = b.hand.state(PATIENT).await.unwrap_err();
     assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
     b.bus.faults().clear();
     // What came late is not taken for an answer.
-    tokio::time::sleep(Duration::from_millis(500)).await;
-    b.hand.state(PATIENT).await.unwrap();
+    let until = Instant::now() + PATIENT;
+    while let Err(error) = b.hand.state(PATIENT).await {
+        assert!(Instant::now() < until, "{error}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -265,7 +281,7 @@ async fn a_silent_bus_is_an_error_in_bounded_time() {
         text.contains("none of 16 motors answers on") && text.contains("power, cable, baud rate?"),
         "{text}"
     );
-    assert!(began.elapsed() < Duration::from_secs(3));
+    assert!(began.elapsed() < PATIENT);
     let short = b.hand.state(Duration::from_millis(50)).await.unwrap_err();
     assert!(matches!(short, DeviceError::Timeout { operation: "state", .. }), "{short}");
 }
@@ -323,6 +339,30 @@ async fn an_overloaded_motor_stops_the_hand_until_it_is_cleared() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn every_hardware_error_is_named_and_gone_after_a_reboot() {
+    let b = bench();
+    b.hand.grip(&grip(0.0), PATIENT).await.unwrap();
+    for (bit, name, kind) in [
+        (0, "input voltage", FaultKind::Other),
+        (2, "overheating", FaultKind::Overload),
+        (3, "encoder", FaultKind::Other),
+        (4, "electrical shock", FaultKind::Overload),
+        (5, "overload", FaultKind::Overload),
+    ] {
+        b.bus.raise(10, 1 << bit);
+        let error = b.hand.grip(&grip(0.1), PATIENT).await.unwrap_err();
+        let expected = format!("hardware error of motor 10 (ring_pip): {name}");
+        assert!(
+            matches!(&error, DeviceError::Fault { kind: found, detail, .. } if *found == kind && *detail == expected),
+            "{error:?}, expected {expected}"
+        );
+        b.hand.clear_fault(PATIENT).await.unwrap();
+        let state = b.hand.grip(&grip(0.05), PATIENT).await.unwrap();
+        assert!((state.actuators[0] - 0.05).abs() < 0.01, "after {name}: {state:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn over_current_of_a_pressing_motor_is_an_overload() {
     let b = bench_with(BusConfig::leap(true), |s| {
         s.variant = graspd_adapters_leap::settings::Variant::Full;
@@ -368,7 +408,7 @@ async fn motors_stop_by_themselves_when_the_host_is_gone() {
         s.watchdog_ms = 200;
         s.max_speed_rad_s = 0.3;
     });
-    b.hand.grip(&grip(0.0), PATIENT).await.unwrap();
+    grip_in_spite_of_pauses(&b.hand, &grip(0.0)).await;
     let Bench { hand, bus, .. } = b;
     // The line is cut in the middle of a motion: nobody says stop.
     let command = grip(0.6);
@@ -383,7 +423,7 @@ async fn motors_stop_by_themselves_when_the_host_is_gone() {
     while hand.state(PATIENT).await.is_err() {
         assert!(Instant::now() < until, "the hand did not come back");
     }
-    let state = hand.grip(&GripCommand { speed: 1.0, ..grip(0.3) }, PATIENT).await.unwrap();
+    let state = grip_in_spite_of_pauses(&hand, &GripCommand { speed: 1.0, ..grip(0.3) }).await;
     assert!((state.actuators[0] - 0.3).abs() < 0.01, "{state:?}");
 }
 
@@ -397,7 +437,7 @@ async fn a_watchdog_that_fires_during_a_slow_exchange_is_seen() {
         s.watchdog_ms = 300;
         s.max_speed_rad_s = 0.3;
     });
-    b.hand.grip(&grip(0.0), PATIENT).await.unwrap();
+    grip_in_spite_of_pauses(&b.hand, &grip(0.0)).await;
     let way = grip(0.9);
     let slow = async {
         tokio::time::sleep(Duration::from_millis(500)).await;
@@ -416,7 +456,7 @@ async fn a_watchdog_that_fires_during_a_slow_exchange_is_seen() {
     // Nobody needs to clear anything: the fingers hold where they are, and go where they are told.
     let state = b.hand.state(PATIENT).await.unwrap();
     assert!(!state.feels_object() && state.actuators[0] < 0.85, "{state:?}");
-    let state = b.hand.grip(&GripCommand { speed: 1.0, ..grip(0.3) }, PATIENT).await.unwrap();
+    let state = grip_in_spite_of_pauses(&b.hand, &GripCommand { speed: 1.0, ..grip(0.3) }).await;
     assert!((state.actuators[0] - 0.3).abs() < 0.01, "{state:?}");
 }
 
@@ -428,7 +468,7 @@ async fn a_watchdog_that_fired_between_motions_lets_fingers_press_on_and_move() 
     });
     b.obstacles.stop_above(1, Some(PI + 0.1));
     let flex = index_of("index_flex");
-    assert!(b.hand.grip(&grip(0.3), PATIENT).await.unwrap().held[flex]);
+    assert!(grip_in_spite_of_pauses(&b.hand, &grip(0.3)).await.held[flex]);
     b.bus.faults().change(|now| now.delay = Duration::from_millis(700));
     let until = Instant::now() + PATIENT;
     while b.bus.register(1, 98, 1).unwrap() != [255] {
@@ -442,7 +482,7 @@ async fn a_watchdog_that_fired_between_motions_lets_fingers_press_on_and_move() 
     }
     assert!(b.hand.state(PATIENT).await.unwrap().held[flex]);
     b.obstacles.stop_above(1, None);
-    let state = b.hand.grip(&grip(0.5), PATIENT).await.unwrap();
+    let state = grip_in_spite_of_pauses(&b.hand, &grip(0.5)).await;
     assert!((state.actuators[flex] - 0.5).abs() < 0.01 && !state.feels_object(), "{state:?}");
 }
 

@@ -164,11 +164,13 @@ pub struct Heartbeat {
     pub period_s: f64,
     /// Time without a beat after which the control script stops the arm, seconds.
     pub timeout_s: f64,
+    /// Time without a new target after which a stream of targets ends and the arm stops, seconds.
+    pub stream_s: f64,
 }
 
 impl Default for Heartbeat {
     fn default() -> Self {
-        Self { period_s: 0.02, timeout_s: 0.2 }
+        Self { period_s: 0.02, timeout_s: 0.2, stream_s: 0.1 }
     }
 }
 
@@ -250,6 +252,7 @@ impl UrConfig {
             ("limits.force_n", l.force_n, 250.0),
             ("heartbeat.period_s", h.period_s, 0.1),
             ("heartbeat.timeout_s", h.timeout_s, 1.0),
+            ("heartbeat.stream_s", h.stream_s, 1.0),
             ("connect_timeout_s", self.connect_timeout_s, 60.0),
             ("silence_s", self.silence_s, 10.0),
             ("first_pause_s", self.first_pause_s, 60.0),

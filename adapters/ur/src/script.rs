@@ -138,9 +138,6 @@ impl Command {
     }
 }
 
-/// A stream without a new target for so long ends, seconds.
-const STREAM_TIMEOUT_S: f64 = 0.1;
-
 /// The script's text.
 pub(crate) fn control_script(config: &UrConfig, token: i32) -> String {
     let step_s = if config.model.is_e_series() { 0.002 } else { 0.008 };
@@ -152,7 +149,7 @@ pub(crate) fn control_script(config: &UrConfig, token: i32) -> String {
     let _ = writeln!(text, "  global g_stop_joint = {:e}", limits.stop_rad_s2);
     let _ = writeln!(text, "  global g_stop_line = {:e}", limits.stop_m_s2);
     let _ = writeln!(text, "  global g_missed_most = {}", steps(heartbeat.timeout_s));
-    let _ = writeln!(text, "  global g_stale_most = {}", steps(STREAM_TIMEOUT_S));
+    let _ = writeln!(text, "  global g_stale_most = {}", steps(heartbeat.stream_s));
     let _ = writeln!(text, "  global g_rest_most = {:e}", limits.force_n);
     let _ = writeln!(text, "  global g_joint_speed = {:e}", limits.joint_speed_rad_s);
     let _ = writeln!(text, "  global g_joint_acceleration = {:e}", limits.joint_acceleration_rad_s2);

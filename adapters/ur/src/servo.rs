@@ -31,7 +31,7 @@ impl Default for ServoSettings {
     }
 }
 
-/// A stream of targets. The arm stops when no target comes for 0.1 s, and when this is dropped.
+/// A stream of targets. The arm stops when no target comes for `heartbeat.stream_s`, and when this is dropped.
 #[must_use = "the arm stops when the stream is dropped"]
 pub struct ServoStream<'a> {
     arm: &'a UrArm,
@@ -174,7 +174,7 @@ impl ServoStream<'_> {
                 result::STALE => DeviceError::Timeout {
                     device,
                     operation: "the next target of a stream",
-                    after: Duration::from_millis(100),
+                    after: Duration::from_secs_f64(self.arm.config().heartbeat.stream_s),
                 },
                 result::FORCE => DeviceError::Fault {
                     device,
@@ -187,7 +187,7 @@ impl ServoStream<'_> {
         None
     }
 
-    /// Sends joints. Call at up to 500 Hz, and at least every 0.1 s.
+    /// Sends joints. Call at up to 500 Hz, and at least every `heartbeat.stream_s`.
     ///
     /// # Errors
     /// [`DeviceError::OutOfRange`] for a target that is too far from the last one for the allowed speed, or outside
@@ -212,7 +212,7 @@ impl ServoStream<'_> {
         self.emit(*target)
     }
 
-    /// Sends a pose of the hand, world frame. Call at up to 500 Hz, and at least every 0.1 s.
+    /// Sends a pose of the hand, world frame. Call at up to 500 Hz, and at least every `heartbeat.stream_s`.
     ///
     /// # Errors
     /// As [`ServoStream::send_joints`].

@@ -23,17 +23,21 @@ async fn state_comes_at_the_rate_of_the_controller() {
     assert_eq!(state.mode, ArmMode::Ready);
     assert!(apart(&state.world_from_flange, &bench.flange()) < 1e-9);
     assert!(state.joints.iter().zip(bench.emulator.snapshot().joints).all(|(a, b)| (a - b).abs() < 1e-9));
-    let first = bench.arm.robot_state(SOON).await.unwrap().timestamp_s;
-    let (mut frames, mut last, began) = (0, first, Instant::now());
-    while began.elapsed() < Duration::from_secs(1) {
+    // Every frame of the controller comes: on its clock, not on that of a machine that does other things, too.
+    let mut last = bench.arm.robot_state(SOON).await.unwrap().timestamp_s;
+    let (mut frames, mut least) = (0, f64::INFINITY);
+    let until = Instant::now() + LONG;
+    while frames < 100 {
+        assert!(Instant::now() < until, "{frames} frames");
         let stamp = bench.arm.robot_state(SOON).await.unwrap().timestamp_s;
-        frames += usize::from(stamp != last);
-        last = stamp;
+        if stamp != last {
+            frames += 1;
+            least = least.min(stamp - last);
+            last = stamp;
+        }
         tokio::time::sleep(Duration::from_micros(300)).await;
     }
-    // 500 on a machine that has nothing else to do.
-    assert!(frames > 100, "{frames}");
-    assert!((last - first - 1.0).abs() < 0.2);
+    assert!((least - 0.002).abs() < 1e-6, "{least}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -224,7 +228,8 @@ async fn what_may_not_be_is_refused_before_anything_moves() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_is_followed_stopped_when_it_dries_up_and_refused_when_too_fast() {
-    let bench = bench().await;
+    // The test's own pauses on a busy machine are no end of the stream.
+    let bench = bench_with(settings(), None, |config| config.heartbeat.stream_s = 1.0).await;
     let mut target: [f64; 6] = bench.emulator.snapshot().joints;
     let first = target[5];
     let mut stream = bench.arm.servo_joints(ServoSettings::default(), LIMITS, SOON).await.unwrap();
@@ -242,10 +247,19 @@ async fn a_stream_is_followed_stopped_when_it_dries_up_and_refused_when_too_fast
         matches!(&error, DeviceError::OutOfRange { found, .. } if found.contains("rad of a joint")),
         "{error}"
     );
-    tokio::time::sleep(Duration::from_millis(600)).await;
-    let error = stream.send_joints(&target).unwrap_err();
+    // The control script's word for a stream that dried up.
+    bench.until("dries up", |b| b.emulator.snapshot().output_ints[26] == 4).await;
+    let until = Instant::now() + SOON;
+    let error = loop {
+        // Whether the script has ended it shows with the next frame of state.
+        match stream.send_joints(&target) {
+            Ok(()) => assert!(Instant::now() < until, "the stream goes on"),
+            Err(error) => break error,
+        }
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    };
     assert!(matches!(error, DeviceError::Timeout { .. }), "{error}");
-    assert!(!bench.moves());
+    bench.until("stands", |b| !b.moves()).await;
     drop(stream);
 
     let mut goal = bench.flange();

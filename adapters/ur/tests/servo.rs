@@ -30,6 +30,9 @@ async fn bounded_by(acceleration_m_s2: f64) -> Bench {
         config.limits.joint_speed_rad_s = SPEED;
         config.limits.joint_acceleration_rad_s2 = ACCELERATION;
         config.limits.acceleration_m_s2 = acceleration_m_s2;
+        // Machines of tests pause for long; that streams dry up is tested elsewhere.
+        config.heartbeat.stream_s = 1.0;
+        config.heartbeat.timeout_s = 1.0;
     })
     .await
 }

@@ -77,7 +77,10 @@ impl Driver {
     /// A motor that lost its power for a moment is back without torque, and says nothing of it.
     async fn miss_torque(&mut self) -> Result<(), DeviceError> {
         let answers = self.read_all(table::TORQUE_ENABLE).await?;
-        let limp: Vec<String> = answers.iter().filter(|a| a.data != [1]).map(|a| self.motor(a.id)).collect();
+        let ids: Vec<u8> = answers.iter().filter(|a| a.data != [1]).map(|a| a.id).collect();
+        // One that has switched itself off because of an error says so, if it is asked.
+        self.remember(&ids).await?;
+        let limp: Vec<String> = ids.iter().map(|id| self.motor(*id)).collect();
         if !limp.is_empty() && self.fault.is_none() {
             let detail = format!(
                 "no torque at {}: it lost power, or somebody else has switched it off",
