@@ -23,11 +23,21 @@ fn asset(name: &str) -> String {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name).display().to_string()
 }
 
+/// A server that is killed, not asked to end, when it is dropped.
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
 /// A server on a free port that says where it is in its log, which is JSON.
-fn serve(folder: &str) -> (Child, String, BufReader<std::process::ChildStderr>) {
+fn serve(folder: &str) -> (Killed, String, BufReader<std::process::ChildStderr>) {
     let flags = ["serve", "--listen", "127.0.0.1:0", "--log-format", "json", "--record", folder];
-    let mut server = graspd(&flags).stderr(Stdio::piped()).spawn().unwrap();
-    let mut log = BufReader::new(server.stderr.take().unwrap());
+    let mut server = Killed(graspd(&flags).stderr(Stdio::piped()).spawn().unwrap());
+    let mut log = BufReader::new(server.0.stderr.take().unwrap());
     let mut line = String::new();
     loop {
         line.clear();
@@ -50,11 +60,13 @@ impl Drop for Scratch {
 
 #[test]
 fn what_a_killed_server_has_recorded_plans_again() {
-    let scratch = Scratch(Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("kill-{}", std::process::id())));
+    let scratch =
+        Scratch(Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("kill-{}", std::process::id())));
     let folder = scratch.0.display().to_string();
-    let (mut server, url, mut log) = serve(&folder);
+    let (server, url, mut log) = serve(&folder);
     let (depth, frame) = (asset("demo_depth.png"), asset("demo_frame.json"));
-    let plan = ["plan", &depth, "--intrinsics", &frame, "--batch", "16", "--server", &url, "--hand", "robotiq-2f85"];
+    let plan =
+        ["plan", &depth, "--intrinsics", &frame, "--batch", "16", "--server", &url, "--hand", "robotiq-2f85"];
     let (planned, _, said) = run(&plan);
     assert!(planned, "{said}");
     // Another one records there: that is said, and nothing is overwritten.
@@ -81,7 +93,8 @@ fn what_a_killed_server_has_recorded_plans_again() {
             None => std::thread::sleep(std::time::Duration::from_millis(10)),
         }
     };
-    let Some(graspd_proto::v1::hand_task_result::Outcome::Response(answer)) = &recorded.results[0].outcome else {
+    let Some(graspd_proto::v1::hand_task_result::Outcome::Response(answer)) = &recorded.results[0].outcome
+    else {
         panic!("no answer")
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -96,27 +109,31 @@ fn what_a_killed_server_has_recorded_plans_again() {
         client.report_outcome(&report).await.unwrap();
     });
     // Not asked to end: killed.
-    server.kill().unwrap();
-    server.wait().unwrap();
+    drop(server);
 
     let (equal, table, said) = run(&["replay", &folder, "--expect-equal"]);
     assert!(equal, "{table}{said}");
     assert!(table.contains("1 equal bit for bit") && table.contains("a file has no end"), "{table}");
     let (_, json, _) = run(&["replay", &folder, "--json"]);
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
-    assert_eq!((&json["summary"]["plans"], &json["plans"][0]["verdict"]), (&1.into(), &"equal".into()), "{json}");
+    assert_eq!(
+        (&json["summary"]["plans"], &json["plans"][0]["verdict"]),
+        (&1.into(), &"equal".into()),
+        "{json}"
+    );
     let (_, outcomes, _) = run(&["replay", &folder, "--outcomes"]);
     assert!(outcomes.contains("collision") && outcomes.contains("touched the tray"), "{outcomes}");
     assert!(outcomes.contains("robotiq-2f85: 0 of 1 executed grasps succeeded"), "{outcomes}");
     let out = scratch.0.join("site.json").display().to_string();
     let (learned, _, said) = run(&["recalibrate", &folder, "--out", &out]);
-    assert!(!learned && said.contains("found 1 with 0 successes and 1 failures, expected at least 30"), "{said}");
+    assert!(
+        !learned && said.contains("found 1 with 0 successes and 1 failures, expected at least 30"),
+        "{said}"
+    );
     assert!(!Path::new(&out).exists());
 
     // The next server gives the file an end.
-    let (mut server, _, _) = serve(&folder);
-    server.kill().unwrap();
-    server.wait().unwrap();
+    drop(serve(&folder));
     let (_, table, _) = run(&["replay", &folder]);
     assert!(!table.contains("a file has no end"), "{table}");
 
@@ -130,7 +147,8 @@ fn what_a_killed_server_has_recorded_plans_again() {
 fn outcomes_become_a_calibration_that_a_server_takes() {
     use graspd_proto::v1;
 
-    let scratch = Scratch(Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("learn-{}", std::process::id())));
+    let scratch =
+        Scratch(Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("learn-{}", std::process::id())));
     let (mut folder, _) = graspd_recording::Folder::open(&scratch.0, 32 << 20).unwrap();
     for i in 0..60u64 {
         let score = 0.3 + i as f64 / 100.0;

@@ -217,7 +217,8 @@ async fn a_calibration_makes_scores_shares_and_keeps_their_order() {
     let site = Calibration::new("bench 3", (120, 60), 1_800_000_000, knots).unwrap();
     let plain = TestServer::start().await;
     let calibrated =
-        TestServer::start_with(ServerConfig { calibration: Some(site.clone()), ..TestServer::config() }).await;
+        TestServer::start_with(ServerConfig { calibration: Some(site.clone()), ..TestServer::config() })
+            .await;
     let before = plain.client().await.plan_grasps(&request(GRIPPER)).await.unwrap();
     let client = calibrated.client().await;
     let after = client.plan_grasps(&request(GRIPPER)).await.unwrap();
