@@ -23,11 +23,21 @@ fn asset(name: &str) -> String {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name).display().to_string()
 }
 
+/// A server that is killed, not asked to end, when it is dropped.
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
 /// A server on a free port that says where it is in its log, which is JSON.
-fn serve(folder: &str) -> (Child, String, BufReader<std::process::ChildStderr>) {
+fn serve(folder: &str) -> (Killed, String, BufReader<std::process::ChildStderr>) {
     let flags = ["serve", "--listen", "127.0.0.1:0", "--log-format", "json", "--record", folder];
-    let mut server = graspd(&flags).stderr(Stdio::piped()).spawn().unwrap();
-    let mut log = BufReader::new(server.stderr.take().unwrap());
+    let mut server = Killed(graspd(&flags).stderr(Stdio::piped()).spawn().unwrap());
+    let mut log = BufReader::new(server.0.stderr.take().unwrap());
     let mut line = String::new();
     loop {
         line.clear();
@@ -53,7 +63,7 @@ fn what_a_killed_server_has_recorded_plans_again() {
     let scratch =
         Scratch(Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("kill-{}", std::process::id())));
     let folder = scratch.0.display().to_string();
-    let (mut server, url, mut log) = serve(&folder);
+    let (server, url, mut log) = serve(&folder);
     let (depth, frame) = (asset("demo_depth.png"), asset("demo_frame.json"));
     let plan =
         ["plan", &depth, "--intrinsics", &frame, "--batch", "16", "--server", &url, "--hand", "robotiq-2f85"];
@@ -99,8 +109,7 @@ fn what_a_killed_server_has_recorded_plans_again() {
         client.report_outcome(&report).await.unwrap();
     });
     // Not asked to end: killed.
-    server.kill().unwrap();
-    server.wait().unwrap();
+    drop(server);
 
     let (equal, table, said) = run(&["replay", &folder, "--expect-equal"]);
     assert!(equal, "{table}{said}");
@@ -124,9 +133,7 @@ fn what_a_killed_server_has_recorded_plans_again() {
     assert!(!Path::new(&out).exists());
 
     // The next server gives the file an end.
-    let (mut server, _, _) = serve(&folder);
-    server.kill().unwrap();
-    server.wait().unwrap();
+    drop(serve(&folder));
     let (_, table, _) = run(&["replay", &folder]);
     assert!(!table.contains("a file has no end"), "{table}");
 

@@ -12,6 +12,7 @@ mod lifecycle;
 mod planning;
 mod python;
 mod recording;
+mod rolling;
 mod scheduling;
 mod security;
 mod servo;
