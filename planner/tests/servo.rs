@@ -155,6 +155,28 @@ fn a_target_that_stays_hidden_is_lost() {
 }
 
 #[test]
+fn a_camera_too_near_to_see_its_target_goes_on_to_it() {
+    let mut rig = Rig::new("robotiq-3f", few(), ServoOptions::default());
+    let mut was_blind = false;
+    for _ in 0..300 {
+        let mut frame = rig.frame();
+        // A sensor that measures nothing nearer than 13 cm.
+        for d in &mut frame.frame.image.depth_m {
+            if *d < 0.13 {
+                *d = 0.0;
+            }
+        }
+        let answer = rig.take(frame).expect("a frame that is looked at");
+        was_blind |= answer.visible < 0.1;
+        if answer.go {
+            assert!(was_blind, "the test tests nothing: it saw its target all the way");
+            return;
+        }
+    }
+    panic!("never goes in");
+}
+
+#[test]
 fn refuses_frames_that_are_late_repeated_wild_or_broken_and_counts_them() {
     let mut rig = Rig::new("robotiq-2f85", few(), ServoOptions::default());
     let first = rig.frame();
