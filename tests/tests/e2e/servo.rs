@@ -228,6 +228,16 @@ async fn a_stream_in_which_nothing_happens_is_ended() {
 }
 
 #[tokio::test]
+async fn a_message_that_is_too_large_ends_the_stream_and_says_so() {
+    let config_of_server = ServerConfig { max_message_bytes: 100 << 10, ..TestServer::config() };
+    let server = TestServer::start_with(config_of_server).await;
+    let mut stream = server.client().await.servo_grasp(config()).await.unwrap();
+    stream.send(frame(1)).await.unwrap();
+    let error = call_error(stream.next().await);
+    assert_eq!((error.code, error.reason.as_str()), (Code::ResourceExhausted, "MESSAGE_TOO_LARGE"));
+}
+
+#[tokio::test]
 async fn a_stream_lives_longer_than_a_request_may_take_to_arrive() {
     let receive = Duration::from_secs(4);
     let limits = Limits { receive, bytes_per_caller: 2 << 20, ..Limits::default() };
