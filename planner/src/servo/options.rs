@@ -62,6 +62,9 @@ pub struct ServoOptions {
     pub reconsider_margin: f64,
     /// Poses that ask for more are wild.
     pub camera: CameraBounds,
+    /// Nearer than this to its target a camera may be blind: the nearest depth that it measures, and half an object more.
+    /// What it does not see from there is no reason to wait, metres.
+    pub blind_within_m: f64,
     /// Pose of the camera in the hand's root frame, for a camera that the hand carries: tells where the hand is in frames
     /// that do not say so themselves.
     pub hand_from_camera: Option<Isometry3<f64>>,
@@ -89,6 +92,7 @@ impl Default for ServoOptions {
             reconsider_every: 6,
             reconsider_margin: 0.1,
             camera: CameraBounds { speed_m_s: 2.0, turn_rad_s: 6.0 },
+            blind_within_m: 0.15,
             hand_from_camera: None,
         }
     }
@@ -135,6 +139,7 @@ impl ServoOptions {
             ("bounds.translation_m", self.bounds.translation_m, 1e-4..=0.1),
             ("bounds.rotation_rad", self.bounds.rotation_rad, 1e-3..=3.2),
             ("reconsider_margin", self.reconsider_margin, 0.0..=1.0),
+            ("blind_within_m", self.blind_within_m, 0.0..=1.0),
             ("camera.speed_m_s", self.camera.speed_m_s, 0.01..=100.0),
             ("camera.turn_rad_s", self.camera.turn_rad_s, 0.01..=1000.0),
         ];

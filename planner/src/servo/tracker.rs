@@ -46,7 +46,7 @@ const CARRY_M: f64 = 0.007;
 const ANOTHER: f64 = 4.0;
 /// Where the target must show something, metres about its middle.
 const TARGET_RADIUS_M: f64 = 0.02;
-/// With less of the target in the picture than this share it is hidden.
+/// With less of the target in the picture than this share it is hidden, unless the camera is too near to see it.
 const LEAST_VISIBLE: f64 = 0.15;
 /// So many times its patience the servo follows a hidden target.
 const BLIND_PATIENCE: usize = 8;
@@ -201,7 +201,7 @@ impl Servo {
             .or_else(|| Some(world_from_camera * self.options.hand_from_camera?.inverse()));
         let before = self.following.as_ref().map(|f| f.grasp.world_from_hand);
         let is_static = self.options.mode == Mode::Static && self.following.is_some();
-        let mut visible = 1.0;
+        let (mut visible, mut is_near) = (1.0, false);
         let verdict = if is_static {
             Verdict { state: State::Tracking, jump_m: 0.0, is_settled: true }
         } else {
@@ -213,8 +213,11 @@ impl Servo {
             let looked = match self.following.take() {
                 Some(mut following) => {
                     visible = self.visible(&frame, &depth, &world_from_camera, &following);
+                    let apart = following.target.position.coords - world_from_camera.translation.vector;
+                    is_near = apart.norm() < self.options.blind_within_m;
+                    let sight = if is_near { 1.0 } else { visible };
                     let verdict =
-                        self.track(&mut following, &frame, &depth, visible, has_moved, &mut stages, budget);
+                        self.track(&mut following, &frame, &depth, sight, has_moved, &mut stages, budget);
                     self.following = Some(following);
                     verdict
                 }
@@ -228,7 +231,11 @@ impl Servo {
             verdict
         };
         self.counters.answered += 1;
-        Ok(self.answer(Seen { sequence, captured, visible, before, world_from_hand }, &verdict, stages.done))
+        Ok(self.answer(
+            Seen { sequence, captured, visible, is_near, before, world_from_hand },
+            &verdict,
+            stages.done,
+        ))
     }
 
     /// What is answered after all is known.
@@ -243,7 +250,7 @@ impl Servo {
             (Some(wanted), Some(hand)) => Some((wanted.translation.vector - hand.translation.vector).norm()),
             _ => None,
         };
-        let is_good = verdict.state == State::Tracking && seen.visible >= LEAST_VISIBLE;
+        let is_good = verdict.state == State::Tracking && (seen.is_near || seen.visible >= LEAST_VISIBLE);
         let is_go_good = is_good && verdict.is_settled;
         let (standoff_m, go) = if grasp.is_some() {
             let progress = Progress { is_good, jump_m: verdict.jump_m, lag_m };
@@ -620,6 +627,8 @@ struct Seen {
     sequence: u64,
     captured: Duration,
     visible: f64,
+    /// So near to the target that the camera may be blind.
+    is_near: bool,
     before: Option<Isometry3<f64>>,
     world_from_hand: Option<Isometry3<f64>>,
 }

@@ -75,6 +75,11 @@ impl Rig {
     /// One frame, and the hand goes where it is wanted, at 0.3 m/s at most.
     pub(crate) fn step(&mut self) -> Result<Answer, Refused> {
         let frame = self.frame();
+        self.take(frame)
+    }
+
+    /// Gives a frame to the servo, and the hand goes where it is wanted.
+    pub(crate) fn take(&mut self, frame: ServoFrame) -> Result<Answer, Refused> {
         let answer = self.servo.step(frame, &Unlimited)?;
         if let Some(wanted) = answer.world_from_standoff {
             self.go(&wanted);

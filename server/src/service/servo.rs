@@ -19,6 +19,7 @@ use crate::engine::Engine;
 use crate::error::{FieldError, ServiceError};
 use crate::security::Limits;
 use crate::servo::{ServoStream, Streams};
+use crate::status;
 
 /// The servo service.
 #[derive(Debug, Clone)]
@@ -46,7 +47,10 @@ impl ServoService for ServoApi {
         let room = self.streams.enter(&self.engine.metrics)?;
         let mut messages = request.into_inner();
         let idle = || ServiceError::Idle { what: "no configuration came", limit: self.idle };
-        let first = tokio::time::timeout(self.idle, messages.message()).await.map_err(|_| idle())??;
+        let first = tokio::time::timeout(self.idle, messages.message()).await.map_err(|_| idle())?;
+        let in_our_words =
+            |s: Status| status::from_transport(&s).map_or(s, |error: ServiceError| Status::from(error));
+        let first = first.map_err(in_our_words)?;
         let Some(Message::Config(config)) = first.and_then(|m| m.message) else {
             return Err(ServiceError::from(FieldError::missing("config", "a configuration first")).into());
         };

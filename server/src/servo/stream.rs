@@ -20,6 +20,7 @@ use crate::engine::Engine;
 use crate::error::{FieldError, ServiceError};
 use crate::metrics::{Metrics, PlanOutcome};
 use crate::pool::{Estimate, Flow, Order, PoolError, Priority};
+use crate::status;
 
 /// A frame that has waited so long for a slot says nothing about where things are now.
 const STALE: Duration = Duration::from_secs(2);
@@ -111,7 +112,7 @@ impl ServoStream {
     /// Until the robot has said all, something fails, or nobody listens any more.
     pub(crate) async fn run(self, messages: Streaming<v1::ServoGraspRequest>, sender: Answers) {
         let _cancel = self.budget.cancel_on_drop();
-        let newest: Arc<Newest<Arrived, ServiceError>> = Arc::new(Newest::new());
+        let newest: Arc<Newest<Arrived, Status>> = Arc::new(Newest::new());
         let refused: Arc<Mutex<(u64, String)>> = Arc::default();
         let reading = read(messages, Arc::clone(&newest), Arc::clone(&refused), self.idle);
         let due = self.clock.answer_deadline();
@@ -130,7 +131,7 @@ impl ServoStream {
         let end = tokio::select! {
             biased;
             () = gone.closed() => return,
-            () = expired => Err(ServiceError::Deadline { elapsed: clock.elapsed(), stage: "of the servo stream" }),
+            () = expired => Err(ServiceError::Deadline { elapsed: clock.elapsed(), stage: "of the servo stream" }.into()),
             end = async {
                 loop {
                     tokio::select! {
@@ -142,17 +143,17 @@ impl ServoStream {
         };
         if let Err(error) = end {
             // A reader that does not read does not get to know either.
-            last_word.try_send(Err(error.into())).ok();
+            last_word.try_send(Err(error)).ok();
         }
     }
 
     /// One frame after the other, each the newest of its moment.
     async fn work(
         self,
-        newest: &Newest<Arrived, ServiceError>,
+        newest: &Newest<Arrived, Status>,
         refused: &Mutex<(u64, String)>,
         sender: Answers,
-    ) -> Result<(), ServiceError> {
+    ) -> Result<(), Status> {
         let Self { engine, clock, caller, hand, servo, budget, idle, room: _room } = self;
         let servo = Arc::new(Mutex::new(servo));
         let mut tally = Tally::default();
@@ -163,7 +164,9 @@ impl ServoStream {
             let permit = match permit.await {
                 Ok(Ok(permit)) => permit,
                 Ok(Err(_)) => return Ok(()),
-                Err(_) => return Err(ServiceError::Idle { what: "nobody read an answer", limit: idle }),
+                Err(_) => {
+                    return Err(ServiceError::Idle { what: "nobody read an answer", limit: idle }.into());
+                }
             };
             let arrived = match newest.take().await {
                 Ok(arrived) => arrived,
@@ -171,7 +174,7 @@ impl ServoStream {
                 Err(End::Failed(error)) => return Err(error),
             };
             if budget.is_cancelled() {
-                return Err(ServiceError::Draining);
+                return Err(ServiceError::Draining.into());
             }
             let order = Order {
                 // The first plan is a search like any other; from then on a motion is under way.
@@ -214,7 +217,7 @@ impl ServoStream {
                     engine.metrics.servo_frames("shed", 1);
                     continue;
                 }
-                Err(error) => return Err(ServiceError::of_pool(&error, || clock.elapsed())),
+                Err(error) => return Err(ServiceError::of_pool(&error, || clock.elapsed()).into()),
             };
             engine.metrics.queued(order.priority, queued);
             let Done { answer, counters } = match done {
@@ -233,9 +236,10 @@ impl ServoStream {
                     return Err(ServiceError::Deadline {
                         elapsed: clock.elapsed(),
                         stage: "while a frame was worked on",
-                    });
+                    }
+                    .into());
                 }
-                Err(Refused::Stopped(Stop::Cancelled)) => return Err(ServiceError::Draining),
+                Err(Refused::Stopped(Stop::Cancelled)) => return Err(ServiceError::Draining.into()),
                 Err(refused) => {
                     tally.refused = refused.to_string();
                     continue;
@@ -297,7 +301,7 @@ impl Tally {
 /// Takes frames in as they come, the newest in the place of the one that waits.
 async fn read(
     mut messages: Streaming<v1::ServoGraspRequest>,
-    newest: Arc<Newest<Arrived, ServiceError>>,
+    newest: Arc<Newest<Arrived, Status>>,
     refused: Arc<Mutex<(u64, String)>>,
     idle: Duration,
 ) {
@@ -305,9 +309,14 @@ async fn read(
         let message = match tokio::time::timeout(idle, messages.message()).await {
             Err(_) => {
                 let error = ServiceError::Idle { what: "no frame came", limit: idle };
-                return newest.end(End::Failed(error));
+                return newest.end(End::Failed(error.into()));
             }
-            Ok(Err(_)) | Ok(Ok(None)) => return newest.end(End::Finished),
+            // Too large, too slow, or nobody there any more.
+            Ok(Err(status)) => {
+                let ours = status::from_transport(&status).map(Status::from);
+                return newest.end(End::Failed(ours.unwrap_or(status)));
+            }
+            Ok(Ok(None)) => return newest.end(End::Finished),
             Ok(Ok(Some(message))) => message.message,
         };
         let wire = match message {
@@ -315,11 +324,11 @@ async fn read(
             Some(Message::Config(_)) => {
                 let error =
                     FieldError::value("config", "a second configuration", "one, in the first message");
-                return newest.end(End::Failed(error.into()));
+                return newest.end(End::Failed(ServiceError::from(error).into()));
             }
             None => {
                 let error = FieldError::missing("message", "a frame");
-                return newest.end(End::Failed(error.into()));
+                return newest.end(End::Failed(ServiceError::from(error).into()));
             }
         };
         let (sequence, at) = (wire.sequence, Instant::now());

@@ -228,19 +228,37 @@ async fn a_stream_in_which_nothing_happens_is_ended() {
 }
 
 #[tokio::test]
-async fn a_stream_lives_longer_than_a_request_may_take_to_arrive() {
-    let limits =
-        Limits { receive: Duration::from_millis(400), bytes_per_caller: 2 << 20, ..Limits::default() };
-    let server = TestServer::start_with(with(limits)).await;
+async fn a_message_that_is_too_large_ends_the_stream_and_says_so() {
+    let config_of_server = ServerConfig { max_message_bytes: 100 << 10, ..TestServer::config() };
+    let server = TestServer::start_with(config_of_server).await;
     let mut stream = server.client().await.servo_grasp(config()).await.unwrap();
-    let began = std::time::Instant::now();
-    let mut sequence = 0;
-    // Ten times that, in which more bytes arrive than one request may have.
-    while began.elapsed() < Duration::from_secs(4) || sequence < 10 {
-        sequence += 1;
-        stream.send(frame(sequence)).await.unwrap();
-        assert_eq!(next(&mut stream).await.sequence, sequence);
+    stream.send(frame(1)).await.unwrap();
+    let error = call_error(stream.next().await);
+    assert_eq!((error.code, error.reason.as_str()), (Code::ResourceExhausted, "MESSAGE_TOO_LARGE"));
+}
+
+#[tokio::test]
+async fn a_stream_lives_longer_than_a_request_may_take_to_arrive() {
+    let receive = Duration::from_secs(4);
+    let limits = Limits { receive, bytes_per_caller: 2 << 20, ..Limits::default() };
+    let server = TestServer::start_with(with(limits)).await;
+    let (frames, mut answers) = server.client().await.servo_grasp(config()).await.unwrap().split();
+    // For more than twice that time, in which more bytes arrive than one request may have.
+    let sending = tokio::spawn(async move {
+        let began = std::time::Instant::now();
+        let mut sequence = 0;
+        while began.elapsed() < 9 * receive / 4 || sequence < 20 {
+            sequence += 1;
+            frames.send(frame(sequence)).await.unwrap();
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        sequence
+    });
+    let mut last = 0;
+    while let Some(answer) = answers.next().await.unwrap() {
+        last = answer.sequence;
     }
+    assert_eq!(last, sending.await.unwrap());
 }
 
 #[tokio::test]
