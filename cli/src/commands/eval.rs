@@ -1,6 +1,7 @@
 //! `graspd eval`: how good grasps are, measured in simulation.
 
 mod ap;
+mod calibration;
 mod clear;
 mod contacts;
 mod look;
@@ -31,6 +32,7 @@ enum What {
     Ap(ap::ApArgs),
     Look(look::LookArgs),
     Contacts(contacts::ContactsArgs),
+    Calibration(calibration::CalibrationArgs),
     Thresholds(thresholds::ThresholdsArgs),
 }
 
@@ -44,6 +46,7 @@ pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
         What::Ap(args) => ap::run(args),
         What::Look(args) => look::run(args),
         What::Contacts(args) => contacts::run(args),
+        What::Calibration(args) => calibration::run(args),
         What::Thresholds(args) => thresholds::run(args),
     }
 }
