@@ -244,7 +244,7 @@ pub(crate) fn read(bytes: &[u8], findings: &mut Findings) -> Option<Description>
         if !(c.slope > 0.0 && c.slope <= MAX_LOG_ODDS) {
             findings.error(TOML, "confidence.slope", c.slope, "more than 0, at most 100");
         }
-        if !(c.intercept.abs() <= MAX_LOG_ODDS) {
+        if !(-MAX_LOG_ODDS..=MAX_LOG_ODDS).contains(&c.intercept) {
             findings.error(TOML, "confidence.intercept", c.intercept, "-100 to 100");
         }
     }
