@@ -11,6 +11,8 @@ use crate::files::TOML;
 const MAX_BYTES: usize = 256 * 1024;
 /// Most entries of any list.
 const MAX_ENTRIES: usize = 128;
+/// Larger log-odds are certainty.
+const MAX_LOG_ODDS: f64 = 100.0;
 
 /// The whole file.
 #[derive(Debug, Clone, Deserialize)]
@@ -41,6 +43,8 @@ pub(crate) struct Description {
     /// What adaptive mechanisms prefer.
     #[serde(default)]
     pub(crate) soft_couplings: Vec<SoftEntry>,
+    /// What a grasp's figure says about its success with this hand.
+    pub(crate) confidence: Option<ConfidenceEntry>,
     /// How pads are sampled.
     #[serde(default)]
     pub(crate) candidates: Candidates,
@@ -51,6 +55,18 @@ pub(crate) struct Description {
 
 fn default_start_offset() -> f64 {
     0.05
+}
+
+/// The curve from a grasp's figure to the probability that it holds.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ConfidenceEntry {
+    pub(crate) slope: f64,
+    pub(crate) intercept: f64,
+    /// Where the two numbers come from.
+    #[serde(default)]
+    #[expect(dead_code, reason = "documentation that travels with the figures")]
+    pub(crate) source: String,
 }
 
 /// One finger.
@@ -223,6 +239,14 @@ pub(crate) fn read(bytes: &[u8], findings: &mut Findings) -> Option<Description>
     let offset = description.start_offset_m;
     if !(0.0..=1.0).contains(&offset) {
         findings.error(TOML, "start_offset_m", offset, "0 to 1 metre");
+    }
+    if let Some(c) = &description.confidence {
+        if !(c.slope > 0.0 && c.slope <= MAX_LOG_ODDS) {
+            findings.error(TOML, "confidence.slope", c.slope, "more than 0, at most 100");
+        }
+        if !(-MAX_LOG_ODDS..=MAX_LOG_ODDS).contains(&c.intercept) {
+            findings.error(TOML, "confidence.intercept", c.intercept, "-100 to 100");
+        }
     }
     let tolerance = description.collision.tolerance_m;
     if !(0.001..=0.02).contains(&tolerance) {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
-use crate::{Actuation, CollisionShape, CollisionSphere, ContactCandidate, Pad, Tree};
+use crate::{Actuation, CollisionShape, CollisionSphere, Confidence, ContactCandidate, Pad, Tree};
 
 /// A finger: a name for a group of pads.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -58,6 +58,8 @@ pub struct Hand {
     pub self_pairs: Vec<(usize, usize)>,
     /// How far the hand opens, where two pads oppose each other.
     pub opening: Option<Opening>,
+    /// What a grasp's figure says about its success with this hand.
+    pub confidence: Confidence,
     /// Things worth a look that are not errors.
     pub warnings: Vec<String>,
 }

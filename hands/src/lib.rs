@@ -9,6 +9,7 @@
 // What a hand is.
 mod actuation;
 mod collision;
+mod confidence;
 mod error;
 mod files;
 mod hand;
@@ -44,6 +45,7 @@ pub mod mesh;
 pub use actuation::{Actuation, Coordinate, CoordinateKind, JointRow, SoftCoupling};
 pub use check::{Report, check};
 pub use collision::{CollisionShape, CollisionSphere, Shape};
+pub use confidence::Confidence;
 pub use error::{HandError, Problem, Problems};
 pub use files::HandFiles;
 pub use hand::{Finger, Hand, Opening};

@@ -6,7 +6,7 @@ use crate::description::{self, Description};
 use crate::error::{Findings, Problems};
 use crate::files::{TOML, URDF};
 use crate::urdf::{self, Model};
-use crate::{Hand, HandError, HandFiles, coupling, opening, pads, self_collision, spheres};
+use crate::{Confidence, Hand, HandError, HandFiles, coupling, opening, pads, self_collision, spheres};
 
 /// Most files of a hand.
 const MAX_FILES: usize = 256;
@@ -96,6 +96,10 @@ fn assemble(
         start_offset_m: description.start_offset_m,
         candidates: pads::candidates(&pads, &tree, description.candidates.per_pad),
         opening: opening::opening(&tree, &actuation, &pads),
+        confidence: description
+            .confidence
+            .as_ref()
+            .map_or(Confidence::GENERIC, |c| Confidence { slope: c.slope, intercept: c.intercept }),
         fingers,
         pads,
         collision: model.collision.clone(),

@@ -74,6 +74,9 @@ pub struct ObjectiveTerms {
     pub total: f64,
 }
 
+/// Grasps of a smaller probability are likelier to be lost than kept: look again, or ask for more candidates.
+pub const BETTER_NOT: f64 = 0.5;
+
 /// A ranked grasp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grasp {
@@ -91,7 +94,8 @@ pub struct Grasp {
     pub contacts: Vec<GraspContact>,
     /// Distance between the opposed contacts, metres, for a hand with two fingers.
     pub jaw_width_m: Option<f64>,
-    /// 0 to 1, larger is better; not a calibrated probability.
+    /// Probability that the hand lifts the object and keeps it, 0 to 1, as simulated executions have it
+    /// ([`graspd_hands::Confidence`]); larger is better. Under [`BETTER_NOT`]: better not.
     pub score: f64,
     /// What the score is made of.
     pub parts: ScoreParts,

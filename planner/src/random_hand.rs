@@ -106,6 +106,7 @@ pub(crate) fn random_hand(seed: u64) -> Hand {
         approach: direction(rng),
         tool_point: Point3::origin(),
         start_offset_m: 0.05,
+        confidence: graspd_hands::Confidence::GENERIC,
         fingers: (0..3).map(|i| Finger { name: format!("f{i}") }).collect(),
         pads,
         candidates,

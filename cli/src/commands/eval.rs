@@ -1,6 +1,7 @@
 //! `graspd eval`: how good grasps are, measured in simulation.
 
 mod ap;
+mod calibration;
 mod clear;
 mod contacts;
 mod look;
@@ -33,6 +34,7 @@ enum What {
     Servo(servo::ServoArgs),
     Look(look::LookArgs),
     Contacts(contacts::ContactsArgs),
+    Calibration(calibration::CalibrationArgs),
     Thresholds(thresholds::ThresholdsArgs),
 }
 
@@ -47,6 +49,7 @@ pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
         What::Servo(args) => servo::run(args),
         What::Look(args) => look::run(args),
         What::Contacts(args) => contacts::run(args),
+        What::Calibration(args) => calibration::run(args),
         What::Thresholds(args) => thresholds::run(args),
     }
 }

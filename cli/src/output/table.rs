@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use graspd_planner::grasp::BETTER_NOT;
+
 use crate::outcome::Outcome;
 
 /// Rows under a header; columns as wide as their widest cell.
@@ -56,6 +58,11 @@ impl fmt::Display for Table {
     }
 }
 
+/// A score; small ones with the advice that goes with them.
+fn score(score: f64) -> String {
+    if score < BETTER_NOT { format!("{score:.3} better not") } else { format!("{score:.3}") }
+}
+
 /// Every grasp of every hand; for hands without one, why, and what would help.
 pub(crate) fn grasps(outcomes: &[Outcome]) -> String {
     let mut table = Table::new(
@@ -68,7 +75,7 @@ pub(crate) fn grasps(outcomes: &[Outcome]) -> String {
             table.row(vec![
                 outcome.hand.clone(),
                 (i + 1).to_string(),
-                format!("{:.3}", g.score),
+                score(g.score),
                 format!("{:.4}", p.x),
                 format!("{:.4}", p.y),
                 format!("{:.4}", p.z),

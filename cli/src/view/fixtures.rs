@@ -74,6 +74,7 @@ pub(crate) fn toy_hand() -> Hand {
         approach: Vector3::z_axis(),
         tool_point: Point3::new(0.0, 0.0, 0.1),
         start_offset_m: 0.05,
+        confidence: graspd_hands::Confidence::GENERIC,
         fingers: vec![Finger { name: "left".into() }, Finger { name: "right".into() }],
         pads: Vec::new(),
         candidates: Vec::new(),

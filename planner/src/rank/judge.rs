@@ -122,12 +122,12 @@ impl Judge<'_> {
         let certainty = touches.iter().map(|t| t.certainty).sum::<f64>() / touches.len() as f64;
         let margin = epsilon * touch::squareness(&touches);
         let parts = score::parts(self.contact_objective(&terms), margin, room, certainty);
-        let total = score::total(&parts);
-        if total < self.options.min_score {
+        let score = model.hand.confidence.probability(parts.mean());
+        if score < self.options.min_score {
             return Err(Rejection::new(R::LowScore, 0.0));
         }
         let figures = Figures { open, epsilon, room, terms, centroid, label };
-        Ok(self.grasp(&at, &touches, &figures, parts, total, back))
+        Ok(self.grasp(&at, &touches, &figures, parts, score, back))
     }
 
     /// The objective without what closing does on purpose: pads press into the surface (collision has its own
@@ -238,7 +238,7 @@ impl Judge<'_> {
         touches: &[Touch],
         figures: &Figures,
         parts: crate::grasp::ScoreParts,
-        total: f64,
+        score: f64,
         back: f64,
     ) -> Grasp {
         let model = self.objective.model;
@@ -272,7 +272,7 @@ impl Judge<'_> {
             },
             contacts: touch::contacts_by_pad(model, touches, &world_from_volume),
             jaw_width_m: touch::jaw_width(model, touches),
-            score: total,
+            score,
             parts,
             objective: figures.terms,
             epsilon: figures.epsilon,

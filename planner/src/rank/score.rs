@@ -1,4 +1,5 @@
-//! The score of a grasp: four parts between 0 and 1, and how they add up.
+//! The score of a grasp: four parts between 0 and 1, and how they add up to the figure that is ranked by. The hand's
+//! confidence makes a probability of it.
 
 use crate::grasp::ScoreParts;
 
@@ -27,12 +28,15 @@ pub(crate) fn parts(objective: f64, margin: f64, room_m: f64, certainty: f64) ->
     }
 }
 
-/// The score: the weighted mean of the parts.
-pub(crate) fn total(parts: &ScoreParts) -> f64 {
-    SHARES.objective * parts.objective
-        + SHARES.force_closure * parts.force_closure
-        + SHARES.clearance * parts.clearance
-        + SHARES.certainty * parts.certainty
+impl ScoreParts {
+    /// The figure that grasps are ranked by: the weighted mean of the parts, 0 to 1. [`graspd_hands::Confidence`] says
+    /// which probability it stands for.
+    pub fn mean(&self) -> f64 {
+        SHARES.objective * self.objective
+            + SHARES.force_closure * self.force_closure
+            + SHARES.clearance * self.clearance
+            + SHARES.certainty * self.certainty
+    }
 }
 
 #[cfg(test)]
@@ -42,22 +46,22 @@ mod tests {
     #[test]
     fn shares_sum_to_one_and_scores_stay_between_zero_and_one() {
         assert!(
-            (total(&ScoreParts { objective: 1.0, force_closure: 1.0, clearance: 1.0, certainty: 1.0 }) - 1.0)
+            (ScoreParts { objective: 1.0, force_closure: 1.0, clearance: 1.0, certainty: 1.0 }.mean() - 1.0)
                 .abs()
                 < 1e-12
         );
         for (o, m, r, c) in [(0.0, 9.0, 9.0, 9.0), (1e9, 0.0, -1.0, 0.0)] {
-            let s = total(&parts(o, m, r, c));
+            let s = parts(o, m, r, c).mean();
             assert!((0.0..=1.0).contains(&s), "{s}");
         }
     }
 
     #[test]
     fn each_part_rises_with_what_it_measures() {
-        let base = total(&parts(0.5, 0.1, 0.01, 0.5));
-        assert!(total(&parts(0.4, 0.1, 0.01, 0.5)) > base);
-        assert!(total(&parts(0.5, 0.2, 0.01, 0.5)) > base);
-        assert!(total(&parts(0.5, 0.1, 0.015, 0.5)) > base);
-        assert!(total(&parts(0.5, 0.1, 0.01, 0.6)) > base);
+        let base = parts(0.5, 0.1, 0.01, 0.5).mean();
+        assert!(parts(0.4, 0.1, 0.01, 0.5).mean() > base);
+        assert!(parts(0.5, 0.2, 0.01, 0.5).mean() > base);
+        assert!(parts(0.5, 0.1, 0.015, 0.5).mean() > base);
+        assert!(parts(0.5, 0.1, 0.01, 0.6).mean() > base);
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use graspd_hands::{CoordinateKind, Hand};
 use graspd_planner::budget::Stop;
 use graspd_planner::grasp::{
-    EmptyReason, Grasp, NoGrasp, ObjectiveTerms, Plan, PlanStats, Postures, ScoreParts,
+    BETTER_NOT, EmptyReason, Grasp, NoGrasp, ObjectiveTerms, Plan, PlanStats, Postures, ScoreParts,
 };
 use graspd_planner::workspace::Workspace;
 use graspd_proto::v1;
@@ -91,6 +91,7 @@ pub(super) fn grasp_message(grasp: &Grasp, context: &PlanContext<'_>) -> v1::Gra
     let hand = context.hand;
     let camera_from_world = grasp.camera_from_hand * grasp.world_from_hand.inverse();
     let camera_from_pregrasp = camera_from_world * grasp.world_from_pregrasp;
+    let score = context.calibration.map_or(grasp.score, |c| c.share(grasp.score));
     let joint_names = hand.tree.joints.iter().map(|j| j.name.clone()).collect();
     let actuator_names = (hand.actuation.coordinates.iter())
         .filter(|c| c.kind == CoordinateKind::Actuator)
@@ -106,7 +107,7 @@ pub(super) fn grasp_message(grasp: &Grasp, context: &PlanContext<'_>) -> v1::Gra
         actuators: Some(postures_message(actuator_names, &grasp.actuators)),
         contacts: grasp.contacts.iter().map(|c| contact_message(c, hand)).collect(),
         jaw_width_m: grasp.jaw_width_m,
-        score: context.calibration.map_or(grasp.score, |c| c.share(grasp.score)),
+        score,
         score_parts: Some(parts_message(&grasp.parts)),
         objective: Some(objective_message(&grasp.objective)),
         epsilon: grasp.epsilon,
@@ -114,6 +115,7 @@ pub(super) fn grasp_message(grasp: &Grasp, context: &PlanContext<'_>) -> v1::Gra
         centroid: Some(vector_message(&grasp.centroid.coords)),
         label: grasp.label.map(i32::from),
         uncalibrated_score: grasp.score,
+        better_not: score < BETTER_NOT,
     }
 }
 

@@ -1,8 +1,7 @@
 //! Clearing trays, as in the paper's Task 1 (Supplementary Note 7): look, plan, grasp, drop, until the tray is
 //! empty.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use graspd_hands::Hand;
 use graspd_planner::estimator::ContactEstimator;
@@ -19,6 +18,7 @@ use super::contents::{Contents, SETTLE_S, put_back};
 use super::replay::FailedTrial;
 use super::seeds::derive;
 use super::station::Station;
+use super::workers::in_turn;
 
 /// A row of Supplementary Table 4.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -174,47 +174,21 @@ pub fn clear(
             jobs.extend((0..runs).map(|run| (setup, hand, run)));
         }
     }
-    // Workers take jobs in turn, each with a pool of one thread: a planning time is that of one run alone, while in
-    // one pool a plan that waits for its parts would be given other runs to do meanwhile.
-    let next = AtomicUsize::new(0);
-    let results: Mutex<Vec<(usize, Run)>> = Mutex::new(Vec::new());
-    let failed: Mutex<Option<EvaluationError>> = Mutex::new(None);
     let scene_options = station.scene_options(settings.volume);
-    let work = || -> Result<(), EvaluationError> {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            let Some(&(setup, hand, run)) = jobs.get(index) else { return Ok(()) };
-            let conditions = Conditions {
-                station,
-                hand,
-                estimator,
-                scene: &scene_options,
-                search: &settings.search,
-                execute: &settings.execute,
-            };
-            let done = pool.install(|| clear_tray(settings, &conditions, setup, run, observer))?;
-            observer.run(&done);
-            results.lock().unwrap_or_else(PoisonError::into_inner).push((index, done));
-        }
-    };
-    std::thread::scope(|scope| {
-        for _ in 0..settings.workers.min(jobs.len()) {
-            scope.spawn(|| {
-                if let Err(error) = work() {
-                    // Nobody takes another job.
-                    next.store(jobs.len(), Ordering::Relaxed);
-                    failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-                }
-            });
-        }
-    });
-    if let Some(error) = failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        return Err(error);
-    }
-    let mut runs = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    runs.sort_by_key(|(index, _)| *index);
-    Ok(runs.into_iter().map(|(_, run)| run).collect())
+    in_turn(jobs.len(), settings.workers, |index| {
+        let (setup, hand, run) = jobs[index];
+        let conditions = Conditions {
+            station,
+            hand,
+            estimator,
+            scene: &scene_options,
+            search: &settings.search,
+            execute: &settings.execute,
+        };
+        let done = clear_tray(settings, &conditions, setup, run, observer)?;
+        observer.run(&done);
+        Ok(done)
+    })
 }
 
 /// One run. Setup, objects and noise are the same for every hand.

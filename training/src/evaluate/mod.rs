@@ -5,6 +5,7 @@ mod clock;
 mod items;
 pub(crate) mod seeds;
 mod station;
+mod workers;
 
 // Trays cleared by every hand.
 mod attempt;
@@ -12,6 +13,9 @@ mod clear;
 mod contents;
 mod replay;
 mod report;
+
+// What a score says about success.
+pub mod calibration;
 
 // Average precision of the parallel jaw.
 pub mod ap;

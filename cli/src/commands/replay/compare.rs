@@ -111,7 +111,7 @@ impl Task {
 
 /// The grasps as the planner made them: scores may have been calibrated by another calibration.
 fn bare(grasps: &[v1::Grasp]) -> Vec<v1::Grasp> {
-    grasps.iter().map(|g| v1::Grasp { score: g.uncalibrated_score, ..g.clone() }).collect()
+    grasps.iter().map(|g| v1::Grasp { score: g.uncalibrated_score, better_not: false, ..g.clone() }).collect()
 }
 
 fn is_same(then: &v1::PlanGraspsResponse, now: &v1::PlanGraspsResponse) -> bool {

@@ -72,6 +72,7 @@ def _grasp(message: grasp_pb2.Grasp) -> Grasp:
         centroid=vector_from_wire(message.centroid),
         jaw_width=message.jaw_width_m if message.HasField("jaw_width_m") else None,
         label=message.label if message.HasField("label") else None,
+        better_not=message.better_not,
     )
 
 

@@ -135,7 +135,7 @@ class Grasp:
     contacts: tuple[Contact, ...]
     """Expected contacts."""
     score: float
-    """Rank, 0 to 1, larger is better. Not a calibrated probability."""
+    """Probability that the hand lifts the object and keeps it, 0 to 1, in simulation or as the site has learned it."""
     score_parts: ScoreParts
     """What the score is made of."""
     objective: ObjectiveTerms
@@ -151,6 +151,8 @@ class Grasp:
     """Distance between the opposed contacts, metres; only for hands with two fingers."""
     label: int | None
     """Label of the grasped object, where the frames had labels."""
+    better_not: bool = False
+    """The score is under 0.5: likelier lost than kept. Look again, or with more candidates, before trying it."""
 
     @property
     def contact_points(self) -> Array:

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use graspd_hands::Hand;
 use graspd_planner::budget::Budget as _;
@@ -23,6 +22,7 @@ use crate::evaluate::EvaluationError;
 use crate::evaluate::clock::Stopwatch;
 use crate::evaluate::seeds::derive;
 use crate::evaluate::station::Station;
+use crate::evaluate::workers::in_turn;
 
 /// What is measured, and how.
 #[derive(Debug, Clone)]
@@ -74,35 +74,11 @@ pub fn average(
     validate(settings)?;
     let per_scene = settings.views * settings.volumes.len();
     let done = AtomicUsize::new(0);
-    let next = AtomicUsize::new(0);
-    let views: Mutex<Vec<View>> = Mutex::default();
-    let failed: Mutex<Option<EvaluationError>> = Mutex::new(None);
-    let work = || -> Result<(), EvaluationError> {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= settings.scenes {
-                return Ok(());
-            }
-            let told = || seen(done.fetch_add(1, Ordering::Relaxed) + 1, settings.scenes * per_scene);
-            let of_scene = pool.install(|| look_around(settings, estimator, index, &told))?;
-            views.lock().unwrap_or_else(PoisonError::into_inner).extend(of_scene);
-        }
-    };
-    std::thread::scope(|scope| {
-        for _ in 0..settings.workers.min(settings.scenes) {
-            scope.spawn(|| {
-                if let Err(error) = work() {
-                    next.store(settings.scenes, Ordering::Relaxed);
-                    failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-                }
-            });
-        }
-    });
-    if let Some(error) = failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        return Err(error);
-    }
-    let mut views = views.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let scenes = in_turn(settings.scenes, settings.workers, |index| {
+        let told = || seen(done.fetch_add(1, Ordering::Relaxed) + 1, settings.scenes * per_scene);
+        look_around(settings, estimator, index, &told)
+    })?;
+    let mut views: Vec<View> = scenes.into_iter().flatten().collect();
     views.sort_by_key(|v| v.job);
     let volumes = settings
         .volumes
