@@ -280,13 +280,14 @@ class Grasp(_message.Message):
     CENTROID_FIELD_NUMBER: _builtins.int
     LABEL_FIELD_NUMBER: _builtins.int
     UNCALIBRATED_SCORE_FIELD_NUMBER: _builtins.int
+    BETTER_NOT_FIELD_NUMBER: _builtins.int
     wrist_link: _builtins.str
     """The hand's root link: the link whose poses are given."""
     jaw_width_m: _builtins.float
     """Distance between the opposed contacts, metres; only for hands with two fingers."""
     score: _builtins.float
-    """Rank, 0 to 1, larger is better. Where PlanGraspsResponse.calibration is set, the share of grasps of this
-    uncalibrated_score that succeeded there; else no probability.
+    """Probability that the hand lifts the object and keeps it, 0 to 1, larger is better: as simulated executions have it,
+    or, where PlanGraspsResponse.calibration is set, the share of grasps of this uncalibrated_score that succeeded there.
     """
     epsilon: _builtins.float
     """Ferrari-Canny margin: the smallest wrench that breaks the grasp, per newton of grip; 0 without force closure."""
@@ -298,6 +299,8 @@ class Grasp(_message.Message):
     """Label of the grasped object, where the frames had labels."""
     uncalibrated_score: _builtins.float
     """What the planner says, 0 to 1, larger is better: what calibrations are learned from. The same order as score."""
+    better_not: _builtins.bool
+    """The score is under 0.5: likelier lost than kept. Look again, from elsewhere or with more candidates, before trying it."""
     @_builtins.property
     def wrist_pose(self) -> _geometry_pb2.PoseInFrame:
         """Pose at the grasp, world frame."""
@@ -358,10 +361,11 @@ class Grasp(_message.Message):
         centroid: _geometry_pb2.Vector3 | None = ...,
         label: _builtins.int | None = ...,
         uncalibrated_score: _builtins.float = ...,
+        better_not: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_jaw_width_m", b"_jaw_width_m", "_label", b"_label", "actuators", b"actuators", "centroid", b"centroid", "jaw_width_m", b"jaw_width_m", "joints", b"joints", "label", b"label", "objective", b"objective", "pregrasp_pose", b"pregrasp_pose", "pregrasp_pose_in_camera", b"pregrasp_pose_in_camera", "score_parts", b"score_parts", "wrist_pose", b"wrist_pose", "wrist_pose_in_camera", b"wrist_pose_in_camera"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_jaw_width_m", b"_jaw_width_m", "_label", b"_label", "actuators", b"actuators", "centroid", b"centroid", "clearance_m", b"clearance_m", "contacts", b"contacts", "epsilon", b"epsilon", "jaw_width_m", b"jaw_width_m", "joints", b"joints", "label", b"label", "objective", b"objective", "pregrasp_pose", b"pregrasp_pose", "pregrasp_pose_in_camera", b"pregrasp_pose_in_camera", "score", b"score", "score_parts", b"score_parts", "uncalibrated_score", b"uncalibrated_score", "wrist_link", b"wrist_link", "wrist_pose", b"wrist_pose", "wrist_pose_in_camera", b"wrist_pose_in_camera"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_jaw_width_m", b"_jaw_width_m", "_label", b"_label", "actuators", b"actuators", "better_not", b"better_not", "centroid", b"centroid", "clearance_m", b"clearance_m", "contacts", b"contacts", "epsilon", b"epsilon", "jaw_width_m", b"jaw_width_m", "joints", b"joints", "label", b"label", "objective", b"objective", "pregrasp_pose", b"pregrasp_pose", "pregrasp_pose_in_camera", b"pregrasp_pose_in_camera", "score", b"score", "score_parts", b"score_parts", "uncalibrated_score", b"uncalibrated_score", "wrist_link", b"wrist_link", "wrist_pose", b"wrist_pose", "wrist_pose_in_camera", b"wrist_pose_in_camera"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__jaw_width_m: _TypeAlias = _typing.Literal["jaw_width_m"]  # noqa: Y015
     _WhichOneofArgType__jaw_width_m: _TypeAlias = _typing.Literal["_jaw_width_m", b"_jaw_width_m"]  # noqa: Y015
