@@ -80,7 +80,8 @@ async fn bench_with(model: Model, wire: Wire, change: impl FnOnce(&mut RobotiqSe
             (Server::Tcp(server), link)
         }
     };
-    let mut settings = RobotiqSettings { model, link, armed: true, ..RobotiqSettings::default() };
+    let mut settings =
+        RobotiqSettings { model, link, armed: true, reply_timeout_ms: 300, ..RobotiqSettings::default() };
     change(&mut settings);
     Bench { hand: RobotiqHand::new(settings).unwrap(), gripper, objects, server }
 }
@@ -271,11 +272,11 @@ async fn a_line_that_stays_disturbed_is_an_error_that_says_so() {
 async fn what_comes_late_is_not_taken_for_the_next_answer() {
     let b = bench_with(Model::TwoFinger85, Wire::Rtu, |s| s.attempts = 1).await;
     b.hand.clear_fault(PATIENT).await.unwrap();
-    b.faults().change(|now| now.delay = Duration::from_millis(250));
+    b.faults().change(|now| now.delay = Duration::from_millis(700));
     let late = b.hand.state(PATIENT).await.unwrap_err();
     assert!(late.is_transient(), "{late}");
     b.faults().clear();
-    tokio::time::sleep(Duration::from_millis(400)).await;
+    tokio::time::sleep(Duration::from_millis(900)).await;
     for target in [0.03, 0.01] {
         assert_near(&b.hand.grip(&grip(target), PATIENT).await.unwrap(), target);
     }
