@@ -1,8 +1,8 @@
 //! How near the hand comes, and when it goes straight in.
 //!
 //! The stand-off is a distance from the grasp against its approach. It shrinks at a steady speed while the grasp is
-//! tracked and the hand keeps up with it, stays while it is not, and grows with every jump, so that the hand moves
-//! sideways where there is room (Supplementary Note 7: from 0.15 m to 0.05 m, the sensing limit of a palm camera, then
+//! tracked and the hand keeps up with it, stays while it is not, and after a jump it is at least as far beyond its end as
+//! the jump was, so that the hand moves sideways where there is room (Supplementary Note 7: from 0.15 m to 0.05 m, the sensing limit of a palm camera, then
 //! straight to the grasp).
 
 use std::time::Duration;
@@ -22,7 +22,7 @@ pub struct StandoffOptions {
 
 impl Default for StandoffOptions {
     fn default() -> Self {
-        Self { start_m: 0.15, end_m: 0.05, speed_m_s: 0.06, lag_m: 0.02 }
+        Self { start_m: 0.15, end_m: 0.05, speed_m_s: 0.06, lag_m: 0.04 }
     }
 }
 
@@ -62,7 +62,7 @@ impl Standoff {
         let passed = self.since.map_or(Duration::ZERO, |since| captured.saturating_sub(since));
         self.since = Some(captured);
         if progress.jump_m > 0.0 {
-            self.now_m = (self.now_m + progress.jump_m).min(o.start_m);
+            self.now_m = self.now_m.max((o.end_m + progress.jump_m).min(o.start_m));
             self.good_at_end = 0;
             return (self.now_m, false);
         }
@@ -101,7 +101,7 @@ mod tests {
         let (at, go) = next(&mut standoff, &GOOD);
         assert!((at - 0.144).abs() < 1e-9 && !go);
         assert_eq!(
-            next(&mut standoff, &Progress { lag_m: Some(0.05), ..GOOD }),
+            next(&mut standoff, &Progress { lag_m: Some(0.06), ..GOOD }),
             (at, false),
             "waits for the hand"
         );
@@ -110,8 +110,9 @@ mod tests {
             next(&mut standoff, &GOOD);
         }
         let near = next(&mut standoff, &GOOD).0;
-        let back = next(&mut standoff, &Progress { jump_m: 0.03, ..GOOD }).0;
-        assert!((back - near - 0.03).abs() < 1e-9);
+        let far = Progress { jump_m: 0.08, ..GOOD };
+        assert_eq!(next(&mut standoff, &Progress { jump_m: 0.01, ..GOOD }).0, near, "there is room for that");
+        assert!((next(&mut standoff, &far).0 - 0.13).abs() < 1e-9, "0.08 m beyond the end");
         assert_eq!(next(&mut standoff, &Progress { jump_m: 1.0, ..GOOD }).0, 0.15, "never beyond the start");
         let frames = (0..100).take_while(|_| !next(&mut standoff, &GOOD).1).count();
         assert_eq!(frames, 18, "100 mm at 6 mm a frame, and one more frame to be sure");

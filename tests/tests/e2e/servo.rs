@@ -69,7 +69,7 @@ async fn a_grasp_is_planned_followed_and_gone_in_for() {
     let apart = (at(&last.standoff_pose) - at(&last.grasp.as_ref().unwrap().wrist_pose)).norm();
     assert!((apart - last.standoff_m).abs() < 1e-9);
     for a in answers.iter().filter(|a| a.state() == ServoState::Tracking) {
-        assert!(a.change_m <= 0.008 + 1e-9 && a.change_rad <= 0.12 + 1e-9, "{} {}", a.change_m, a.change_rad);
+        assert!(a.change_m <= 0.008 + 1e-9 && a.change_rad <= 0.06 + 1e-9, "{} {}", a.change_m, a.change_rad);
     }
     // The sender has said all: the stream ends without an error.
     let (frames, mut rest) = stream.split();

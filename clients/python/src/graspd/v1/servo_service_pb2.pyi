@@ -145,7 +145,7 @@ class ServoConfig(_message.Message):
     unset. Measured at the middle of the hand's contact candidates.
     """
     max_change_rad: _builtins.float
-    """The same for its orientation, radians, 0.001 to 3.2; 0.12 when unset."""
+    """The same for its orientation, radians, 0.001 to 3.2; 0.06 when unset."""
     camera_max_speed_m_s: _builtins.float
     """A camera pose that asks for more than this from the frame before is wild, metres per second, 0.01 to 100; 2 when
     unset.
