@@ -8,7 +8,7 @@ mod reliability;
 mod report;
 
 pub use collect::{CalibrationSettings, Sample, collect};
-pub use fit::{LEAST_OF_A_KIND, fit};
+pub use fit::{LEAST_OF_A_HAND, fit_hands, fit_together};
 pub use picture::svg;
 pub use reliability::{Bin, Reliability, reliability};
 pub use report::{CalibrationReport, HandFit};

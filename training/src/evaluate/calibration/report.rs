@@ -5,7 +5,7 @@ use graspd_planner::grasp::BETTER_NOT;
 use serde::{Deserialize, Serialize};
 
 use super::collect::Sample;
-use super::fit::fit;
+use super::fit::{fit_hands, fit_together};
 use super::reliability::{Reliability, reliability};
 use crate::evaluate::statistics::wilson;
 use crate::evaluate::table::Table;
@@ -39,7 +39,7 @@ pub struct CalibrationReport {
     pub conditions: Vec<String>,
     /// Each hand with a curve of its own.
     pub hands: Vec<HandFit>,
-    /// One curve for all hands, for hands that have none of their own: each hand counts alike.
+    /// One curve for all hands, for hands that have none of their own.
     pub generic: HandFit,
     /// Every hand's grasps judged by its own curve, all together.
     pub together: Reliability,
@@ -60,17 +60,18 @@ impl CalibrationReport {
                 ids.push(&sample.hand);
             }
         }
-        let generic_curve = fit(fitted);
+        let generic_curve = fit_together(fitted);
+        let curves = fit_hands(fitted);
         let mut together = Vec::new();
         let hands = ids
             .iter()
             .map(|&id| {
-                let own: Vec<&Sample> = fitted.iter().filter(|s| s.hand == id).collect();
+                let fitted_on = fitted.iter().filter(|s| s.hand == id).count();
                 let unseen: Vec<&Sample> = checked.iter().filter(|s| s.hand == id).collect();
-                let curve = fit(own.iter().copied());
+                let curve = curves.get(id).copied();
                 let outcomes = outcomes(&unseen, curve.or(generic_curve));
                 together.extend_from_slice(&outcomes);
-                hand_fit(Some(id.to_owned()), curve, own.len(), &outcomes, BINS_OF_A_HAND)
+                hand_fit(Some(id.to_owned()), curve, fitted_on, &outcomes, BINS_OF_A_HAND)
             })
             .collect();
         let all: Vec<&Sample> = checked.iter().collect();
