@@ -145,7 +145,7 @@ pub(crate) fn run(args: &CalibrationArgs) -> anyhow::Result<()> {
         write_file(path, report.markdown().as_bytes())?;
     }
     if let Some(path) = &args.svg {
-        let curves = [("own curves", &report.together), ("as stated", &report.stated)];
+        let curves = [("own curves", &report.together), ("one curve for all", &report.generic.reliability)];
         write_file(path, svg(&curves).as_bytes())?;
     }
     let mut out = std::io::stdout().lock();
