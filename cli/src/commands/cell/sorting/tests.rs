@@ -219,9 +219,10 @@ async fn a_network_that_is_cut_is_waited_for() {
 async fn what_is_wrong_is_named() {
     for (change, expected) in [
         (("kinematics = \"ur3e\"", "kinematics = \"ur4\""), "kinematics: found \"ur4\", expected one of ur3"),
-        (("base_m = [-0.40, 0.02, 0.20]", "base_m = [-3.0, 0.02, 0.20]"), "does not reach"),
+        (("base_m = [-0.50, 0.02, 0.20]", "base_m = [-3.0, 0.02, 0.20]"), "does not reach"),
         (("id = \"model-o\"", "id = \"modle-o\""), "model-o"),
     ] {
+        assert!(EXAMPLE.contains(change.0), "the example has {}", change.0);
         let config = SortConfig::parse(&EXAMPLE.replacen(change.0, change.1, 1)).unwrap();
         let (address, server) = serve(ANY).await;
         let message = match world::devices(&config).await {
