@@ -74,7 +74,7 @@ fn plan_with_python(endpoint: &str) -> Result<String, String> {
     let protocol = here.join("../proto");
     let stubs = scratch.join("python-stubs");
     std::fs::create_dir_all(&stubs).unwrap();
-    let files = ["geometry", "frame", "options", "grasp", "planner_service", "hand_service"];
+    let files = ["geometry", "frame", "options", "grasp", "assignment", "planner_service", "hand_service"];
     let generated = run(Command::new(&python)
         .args(["-m", "grpc_tools.protoc", "-I"])
         .arg(&protocol)

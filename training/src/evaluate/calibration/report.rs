@@ -228,8 +228,8 @@ mod tests {
 
     #[test]
     fn every_hand_gets_its_own_curve_and_true_probabilities() {
-        let fitted = [of("easy", 0, -2.0), of("hard", 7, -6.0)].concat();
-        let checked = [of("easy", 31, -2.0), of("hard", 53, -6.0)].concat();
+        let fitted = [of("easy", 0, 0.0), of("hard", 7, -4.0)].concat();
+        let checked = [of("easy", 31, 0.0), of("hard", 53, -4.0)].concat();
         let report = CalibrationReport::new(vec!["test".into()], &fitted, &checked);
         assert!(report.hands[0].intercept > report.hands[1].intercept);
         assert!(report.together.error < 0.03, "{:?}", report.together);
