@@ -1,4 +1,4 @@
-//! W3C trace context (https://www.w3.org/TR/trace-context/, level 1): what a call is part of.
+//! W3C trace context (<https://www.w3.org/TR/trace-context/>, level 1): what a call is part of.
 
 use tonic::codegen::http::HeaderMap;
 
