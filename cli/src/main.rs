@@ -20,6 +20,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
+#[cfg(feature = "nats")]
+use commands::worker;
 use commands::{bench, demo, doctor, hands, load, plan, recalibrate, replay, serve};
 #[cfg(feature = "sim")]
 use commands::{cell, dataset, eval};
@@ -49,6 +51,8 @@ enum LogFormat {
 #[derive(Debug, Subcommand)]
 enum Command {
     Serve(Box<serve::ServeArgs>),
+    #[cfg(feature = "nats")]
+    Worker(Box<worker::WorkerArgs>),
     Plan(Box<plan::PlanArgs>),
     Hands(hands::HandsArgs),
     Demo(demo::DemoArgs),
@@ -72,7 +76,12 @@ enum Command {
 fn main() -> ExitCode {
     let cli = Cli::parse();
     // Logs go to stderr: stdout belongs to tables and JSON.
-    let quiet = if matches!(cli.command, Command::Serve(_)) { "info" } else { "warn" };
+    let quiet = match cli.command {
+        Command::Serve(_) => "info,async_nats=warn",
+        #[cfg(feature = "nats")]
+        Command::Worker(_) => "info,async_nats=warn",
+        _ => "warn",
+    };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
     let ansi = std::io::stderr().is_terminal();
     let lines = tracing_subscriber::fmt()
@@ -87,6 +96,8 @@ fn main() -> ExitCode {
     }
     let result = match &cli.command {
         Command::Serve(args) => serve::run(args),
+        #[cfg(feature = "nats")]
+        Command::Worker(args) => worker::run(args),
         Command::Plan(args) => plan::run(args),
         Command::Hands(args) => hands::run(args),
         Command::Demo(args) => demo::run(args),

@@ -12,6 +12,8 @@ pub(crate) mod device;
 pub(crate) mod doctor;
 #[cfg(feature = "devices")]
 pub(crate) mod emulate;
+#[cfg(feature = "nats")]
+pub(crate) mod engine;
 #[cfg(feature = "sim")]
 pub(crate) mod eval;
 pub(crate) mod hands;
@@ -20,3 +22,5 @@ pub(crate) mod plan;
 pub(crate) mod recalibrate;
 pub(crate) mod replay;
 pub(crate) mod serve;
+#[cfg(feature = "nats")]
+pub(crate) mod worker;
