@@ -20,13 +20,13 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-#[cfg(feature = "nats")]
-use commands::worker;
 use commands::{bench, demo, doctor, hands, load, plan, recalibrate, replay, serve};
 #[cfg(feature = "sim")]
 use commands::{cell, dataset, eval};
 #[cfg(feature = "devices")]
 use commands::{device, emulate};
+#[cfg(feature = "nats")]
+use commands::{lease, worker};
 
 /// Ranked grasps for any robotic hand from one depth frame, over gRPC.
 #[derive(Debug, Parser)]
@@ -53,6 +53,8 @@ enum Command {
     Serve(Box<serve::ServeArgs>),
     #[cfg(feature = "nats")]
     Worker(Box<worker::WorkerArgs>),
+    #[cfg(feature = "nats")]
+    Lease(Box<lease::LeaseArgs>),
     Plan(Box<plan::PlanArgs>),
     Hands(hands::HandsArgs),
     Demo(demo::DemoArgs),
@@ -98,6 +100,8 @@ fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "nats")]
         Command::Worker(args) => worker::run(args),
+        #[cfg(feature = "nats")]
+        Command::Lease(args) => lease::run(args),
         Command::Plan(args) => plan::run(args),
         Command::Hands(args) => hands::run(args),
         Command::Demo(args) => demo::run(args),

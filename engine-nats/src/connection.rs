@@ -45,6 +45,28 @@ pub enum ConnectError {
     },
 }
 
+/// What a process is in an installation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Node {
+    /// Takes calls.
+    Front,
+    /// Plans.
+    Worker,
+    /// Asks something once.
+    Visitor,
+}
+
+impl Node {
+    /// Its name in the broker's own lists of connections.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Front => "front",
+            Self::Worker => "worker",
+            Self::Visitor => "visitor",
+        }
+    }
+}
+
 /// A broker that answers. Clones are the same connection.
 #[derive(Clone)]
 pub struct Broker {
@@ -52,6 +74,8 @@ pub struct Broker {
     pub(crate) jetstream: jetstream::Context,
     pub(crate) names: Arc<Names>,
     pub(crate) queue: usize,
+    /// This process says how many jobs may wait: a front.
+    pub(crate) decides: bool,
     /// Counts losses and returns of the connection; odd while it is lost.
     changes: watch::Receiver<u64>,
     url: Arc<str>,
@@ -64,12 +88,12 @@ impl std::fmt::Debug for Broker {
 }
 
 impl Broker {
-    /// Connects, and makes what is not there yet: the stream of jobs, its consumers, buckets. `kind` names this process
-    /// in the broker's own lists, for example `front`.
+    /// Connects, and makes what is not there yet: the stream of jobs, its consumers, buckets. A front says how long the
+    /// queue is.
     ///
     /// # Errors
     /// [`ConnectError`].
-    pub async fn connect(config: &NatsConfig, kind: &str) -> Result<Self, ConnectError> {
+    pub async fn connect(config: &NatsConfig, kind: Node) -> Result<Self, ConnectError> {
         let servers = config.servers()?;
         let url: Arc<str> = NatsConfig::shown(&servers).into();
         let (sender, changes) = watch::channel(0);
@@ -81,11 +105,15 @@ impl Broker {
                 }
                 _ => false,
             };
-            tracing::info!(%event, "broker");
+            match event {
+                // Every attempt to connect again is one.
+                Event::ClientError(_) => tracing::debug!(%event, "broker"),
+                event => tracing::info!(%event, "broker"),
+            }
             std::future::ready(())
         };
         let mut options = ConnectOptions::new()
-            .name(format!("graspd {kind} {}", std::process::id()))
+            .name(format!("graspd {} {}", kind.name(), std::process::id()))
             .event_callback(heard)
             .ping_interval(PING)
             .connection_timeout(BROKER_PATIENCE * 2)
@@ -118,7 +146,8 @@ impl Broker {
         }
         let jetstream = ContextBuilder::new().timeout(BROKER_PATIENCE).build(client.clone());
         let names = Arc::new(Names::new(&config.name));
-        let broker = Self { client, jetstream, names, queue: config.queue.max(1), changes, url };
+        let decides = kind == Node::Front;
+        let broker = Self { client, jetstream, names, queue: config.queue.max(1), decides, changes, url };
         setup::ensure(&broker).await.map_err(|problem| ConnectError::JetStream { problem })?;
         tracing::info!(broker = %broker.url, max_payload = found, "connected");
         Ok(broker)

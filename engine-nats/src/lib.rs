@@ -12,9 +12,11 @@
 //! - A front that loses the broker tells its callers so at once, and takes no calls until it has the broker again.
 
 mod cancelled;
+mod clock;
 mod connection;
 mod front;
 mod hands;
+mod leases;
 mod pending;
 mod requests;
 mod running;
@@ -23,8 +25,9 @@ mod setup;
 mod wire;
 mod worker;
 
-pub use connection::{Broker, ConnectError};
+pub use connection::{Broker, ConnectError, Node};
 pub use front::NatsEngine;
 pub use hands::NatsHands;
+pub use leases::{Lease, LeaseError, Leases};
 pub use settings::{BrokerTls, NatsConfig, WrongUrl};
 pub use worker::{Worker, WorkerConfig};

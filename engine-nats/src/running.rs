@@ -1,7 +1,8 @@
 //! One job at a worker: from its message to its acknowledgement.
 
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use async_nats::client::RequestErrorKind;
 use async_nats::jetstream::message::Acker;
@@ -14,6 +15,7 @@ use tokio::task::JoinHandle;
 use tonic::Status;
 
 use crate::cancelled::Cancelled;
+use crate::clock;
 use crate::connection::Broker;
 use crate::hands::NatsHands;
 use crate::requests;
@@ -29,17 +31,13 @@ pub(crate) struct Shared {
     /// Names of jobs as they are cancelled.
     pub(crate) cancellations: tokio::sync::broadcast::Sender<Arc<str>>,
     /// The broker's clock minus this machine's, microseconds.
-    pub(crate) clock_offset_us: std::sync::atomic::AtomicI64,
+    pub(crate) clock_offset_us: AtomicI64,
 }
 
 impl Shared {
-    /// How long ago the broker's clock showed this time; never negative.
-    fn age(&self, published: i128) -> Duration {
-        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        let offset = self.clock_offset_us.load(std::sync::atomic::Ordering::Relaxed);
-        let now_us = i64::try_from(now.as_micros()).unwrap_or(i64::MAX).saturating_add(offset);
-        let published_us = i64::try_from(published / 1000).unwrap_or(i64::MAX);
-        Duration::from_micros(u64::try_from(now_us.saturating_sub(published_us)).unwrap_or(0))
+    /// How old a message is.
+    fn age(&self, published_ns: i128) -> Duration {
+        clock::age(published_ns, self.clock_offset_us.load(Ordering::Relaxed))
     }
 
     fn is_cancelled(&self, job: &str) -> bool {
@@ -71,8 +69,10 @@ impl Drop for Progress {
 
 /// How a job ended at this worker.
 enum Ended {
-    /// Its front has heard the last reply, or is gone, or has cancelled it.
+    /// Its front has heard the last reply, or is gone.
     Done,
+    /// Its front has cancelled it, and has taken it out of the stream itself.
+    Cancelled,
     /// The last reply could not be delivered: somebody else may.
     Undelivered,
 }
@@ -102,14 +102,14 @@ pub(crate) async fn run(shared: &Shared, message: Message, leaving: tokio::sync:
     // Listened to before it is asked, so that no cancellation is lost between.
     let cancellations = shared.cancellations.subscribe();
     let ended = if shared.is_cancelled(&id) {
-        Ended::Done
+        Ended::Cancelled
     } else {
         posted.job.timeout =
             posted.job.timeout.map(|timeout| timeout.saturating_sub(age + fetched.elapsed()));
         let work = work(shared, posted, attempt);
         tokio::select! {
             biased;
-            () = cancelled(cancellations, &id) => Ended::Done,
+            () = cancelled(cancellations, &id) => Ended::Cancelled,
             () = left(leaving) => Ended::Undelivered,
             ended = work => ended,
         }
@@ -120,6 +120,10 @@ pub(crate) async fn run(shared: &Shared, message: Message, leaving: tokio::sync:
             tracing::info!(job = id, attempt, ended_ms, "job ended");
             // Confirmed, so that the next job is fetched by a worker that holds none.
             tokio::time::timeout(BROKER_PATIENCE, acker.double_ack()).await.ok();
+        }
+        Ended::Cancelled => {
+            tracing::info!(job = id, attempt, ended_ms, "job cancelled");
+            acker.ack().await.ok();
         }
         Ended::Undelivered => {
             tracing::warn!(job = id, attempt, ended_ms, "job given back");

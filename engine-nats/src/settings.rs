@@ -180,6 +180,11 @@ impl Names {
         format!("{}-hand-files", self.name)
     }
 
+    /// Key-value bucket of leases.
+    pub(crate) fn leases(&self) -> String {
+        format!("{}-leases", self.name)
+    }
+
     /// Key-value bucket of workers that are there.
     pub(crate) fn workers(&self) -> String {
         format!("{}-workers", self.name)

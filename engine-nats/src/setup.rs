@@ -27,12 +27,17 @@ pub(crate) async fn ensure(broker: &Broker) -> Result<(), String> {
         num_replicas: 1,
         ..Default::default()
     };
-    jetstream.create_or_update_stream(jobs).await.map_err(|e| e.to_string())?;
+    if broker.decides {
+        jetstream.create_or_update_stream(jobs).await.map(drop).map_err(|e| e.to_string())?;
+    } else {
+        jetstream.get_or_create_stream(jobs).await.map(drop).map_err(|e| e.to_string())?;
+    }
     for priority in Priority::ALL {
         consumer(broker, priority).await?;
     }
     for (bucket, storage, max_age) in [
         (names.hands(), StorageType::File, std::time::Duration::ZERO),
+        (names.leases(), StorageType::File, std::time::Duration::ZERO),
         (names.workers(), StorageType::Memory, WORKER_AGE),
     ] {
         if jetstream.get_key_value(&bucket).await.is_err() {

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, PoisonError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use async_nats::jetstream::Message;
 use async_nats::jetstream::consumer::PullConsumer;
@@ -12,6 +12,7 @@ use graspd_server::pool::Priority;
 use tokio::sync::{Notify, broadcast, watch};
 use tokio::task::JoinSet;
 
+use crate::clock;
 use crate::connection::Broker;
 use crate::hands::NatsHands;
 use crate::running::{Shared, run};
@@ -133,19 +134,8 @@ impl Worker {
 
 /// Says that the worker is there, and learns how the broker's clock differs from this machine's.
 async fn heartbeat(shared: &Shared, worker: &str) -> Result<(), String> {
-    let broker = &shared.broker;
-    let bucket = broker.jetstream.get_key_value(broker.names.workers()).await.map_err(|e| e.to_string())?;
-    let (began, wall) = (Instant::now(), SystemTime::now());
-    let value = format!("{{\"pid\":{},\"version\":\"{}\"}}", std::process::id(), env!("CARGO_PKG_VERSION"));
-    bucket.put(worker, value.into()).await.map_err(|e| e.to_string())?;
-    let round_trip = began.elapsed();
-    let entry = bucket.entry(worker).await.map_err(|e| e.to_string())?.ok_or("the entry is gone")?;
-    // The broker wrote it half way between: off by half a round trip at most.
-    let middle = wall + round_trip / 2;
-    let middle = middle.duration_since(UNIX_EPOCH).map_err(|e| e.to_string())?;
-    let theirs = i64::try_from(entry.created.unix_timestamp_nanos() / 1000).map_err(|e| e.to_string())?;
-    let ours = i64::try_from(middle.as_micros()).map_err(|e| e.to_string())?;
-    shared.clock_offset_us.store(theirs.saturating_sub(ours), Ordering::Relaxed);
+    let offset = clock::offset_us(&shared.broker, worker).await?;
+    shared.clock_offset_us.store(offset, Ordering::Relaxed);
     Ok(())
 }
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::Args;
-use graspd_engine_nats::{Broker, BrokerTls, NatsConfig};
+use graspd_engine_nats::{Broker, BrokerTls, NatsConfig, Node};
 
 /// Where jobs go through.
 #[derive(Debug, Clone, Args)]
@@ -52,7 +52,7 @@ impl EngineArgs {
     ///
     /// # Errors
     /// When it cannot be reached or is not set up for this.
-    pub(crate) async fn connect(&self, kind: &str) -> anyhow::Result<Option<Broker>> {
+    pub(crate) async fn connect(&self, kind: Node) -> anyhow::Result<Option<Broker>> {
         match self.config() {
             None => Ok(None),
             Some(config) => Ok(Some(Broker::connect(&config, kind).await.context("--engine")?)),

@@ -17,6 +17,8 @@ pub(crate) mod engine;
 #[cfg(feature = "sim")]
 pub(crate) mod eval;
 pub(crate) mod hands;
+#[cfg(feature = "nats")]
+pub(crate) mod lease;
 pub(crate) mod load;
 pub(crate) mod plan;
 pub(crate) mod recalibrate;

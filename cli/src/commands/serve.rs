@@ -194,7 +194,9 @@ async fn on_workers(
     args: &super::engine::EngineArgs,
     mut config: ServerConfig,
 ) -> anyhow::Result<(ServerConfig, Option<std::sync::Arc<graspd_engine_nats::NatsHands>>)> {
-    let Some(broker) = args.connect("front").await? else { return Ok((config, None)) };
+    let Some(broker) = args.connect(graspd_engine_nats::Node::Front).await? else {
+        return Ok((config, None));
+    };
     anyhow::ensure!(
         config.calibration.is_none(),
         "--calibration: found one with --engine, expected none; scores are calibrated by the workers, give it to them"

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
-use graspd_engine_nats::{NatsHands, Worker, WorkerConfig};
+use graspd_engine_nats::{NatsHands, Node, Worker, WorkerConfig};
 use graspd_server::jobs::JobEngine;
 use graspd_server::pool::PoolConfig;
 use graspd_server::{LocalEngine, ServerConfig, shutdown_signal};
@@ -89,7 +89,7 @@ pub(crate) fn run(args: &WorkerArgs) -> anyhow::Result<()> {
     let config = args.config()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
-        let broker = args.engine.connect("worker").await?;
+        let broker = args.engine.connect(Node::Worker).await?;
         let broker = broker.context("--engine: found nothing, expected the address of a NATS broker")?;
         let engine = Arc::new(LocalEngine::start(&config).await?);
         let hands = NatsHands::new(&broker);
