@@ -140,8 +140,8 @@ impl JobEngine for NatsEngine {
         }
         let id = self.broker.unique();
         // A job that nobody bounds would be forgotten by the broker without a word.
-        let timeout = job.timeout.unwrap_or(MAX_AGE).min(MAX_AGE);
-        job.timeout = Some(timeout);
+        let left = job.left().unwrap_or(MAX_AGE).min(MAX_AGE);
+        job.timeout = Some(job.age + left);
         let kind = job.kind;
         let heard = self.pending.insert(&id, kind == JobKind::StreamGrasps);
         // From here on whoever drops this cancels the job.
@@ -168,7 +168,7 @@ impl JobEngine for NatsEngine {
         self.pending.stored(&posted.id, sequence);
         // Whoever is idle looks at once; whoever is not will.
         self.broker.client.publish(self.broker.names.bell(), Bytes::new()).await.ok();
-        let until = tokio::time::Instant::now() + timeout + RETRY_AFTER;
+        let until = tokio::time::Instant::now() + left + RETRY_AFTER;
         Ok(Waiting { heard, losses, ending, until, away: away() }.replies())
     }
 }

@@ -104,8 +104,7 @@ pub(crate) async fn run(shared: &Shared, message: Message, leaving: tokio::sync:
     let ended = if shared.is_cancelled(&id) {
         Ended::Cancelled
     } else {
-        posted.job.timeout =
-            posted.job.timeout.map(|timeout| timeout.saturating_sub(age + fetched.elapsed()));
+        posted.job.age += age + fetched.elapsed();
         let work = work(shared, posted, attempt);
         tokio::select! {
             biased;
@@ -153,10 +152,11 @@ async fn left(mut leaving: tokio::sync::watch::Receiver<bool>) {
 }
 
 async fn work(shared: &Shared, mut posted: Posted, attempt: u64) -> Ended {
-    let until = posted.job.timeout.and_then(|timeout| Instant::now().checked_add(timeout));
+    let left = posted.job.left();
+    let until = left.and_then(|left| Instant::now().checked_add(left));
     let to =
         Delivery { shared, subject: shared.broker.names.replies(&posted.front, &posted.id), attempt, until };
-    if posted.job.timeout.is_some_and(|timeout| timeout.is_zero()) {
+    if left.is_some_and(|left| left.is_zero()) {
         return to.deliver(Said::Error(Status::deadline_exceeded("the deadline passed in the broker"))).await;
     }
     if let Some(object) = posted.object.take() {

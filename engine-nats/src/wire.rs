@@ -15,6 +15,7 @@ const METHOD: &str = "Graspd-Method";
 const PRIORITY: &str = "Graspd-Priority";
 const HAND: &str = "Graspd-Hand";
 const CALLER: &str = "Graspd-Caller";
+const AGE: &str = "Graspd-Age-Us";
 const TIMEOUT: &str = "Graspd-Timeout-Us";
 const REQUEST_ID: &str = "Graspd-Request-Id";
 const TRACEPARENT: &str = "traceparent";
@@ -62,6 +63,7 @@ impl Posted {
         for hand in &job.hands {
             headers.append(HAND, clean(&format!("{} {}", hand.id, hand.revision)).as_str());
         }
+        put(&mut headers, AGE, &job.age.as_micros().to_string());
         if let Some(timeout) = job.timeout {
             put(&mut headers, TIMEOUT, &timeout.as_micros().to_string());
         }
@@ -88,11 +90,10 @@ impl Posted {
             let (id, revision) = hand.split_once(' ').ok_or_else(|| wrong(HAND, hand, "id and revision"))?;
             hands.push(HandRef { id: id.to_owned(), revision: revision.to_owned() });
         }
-        let timeout = (optional(headers, TIMEOUT)?)
-            .map(|text| {
-                text.parse().map(Duration::from_micros).map_err(|_| wrong(TIMEOUT, text, "microseconds"))
-            })
-            .transpose()?;
+        let micros = |name, text: &str| {
+            text.parse().map(Duration::from_micros).map_err(|_| wrong(name, text, "microseconds"))
+        };
+        let timeout = optional(headers, TIMEOUT)?.map(|text| micros(TIMEOUT, text)).transpose()?;
         let text = |name| Ok(optional(headers, name)?.unwrap_or_default().to_owned());
         Ok(Self {
             id: name(headers, JOB)?,
@@ -103,6 +104,7 @@ impl Posted {
                 request: payload,
                 priority,
                 hands,
+                age: micros(AGE, required(headers, AGE)?)?,
                 caller: required(headers, CALLER)?.to_owned(),
                 timeout,
                 request_id: text(REQUEST_ID)?,
@@ -249,6 +251,7 @@ mod tests {
                     HandRef { id: "b".to_owned(), revision: "2".to_owned() },
                 ],
                 caller: "arm left".to_owned(),
+                age: Duration::from_micros(77),
                 timeout: Some(Duration::from_micros(1_234_567)),
                 request_id: "id".to_owned(),
                 traceparent: "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01".to_owned(),
@@ -265,7 +268,7 @@ mod tests {
 
     #[test]
     fn what_is_missing_or_wrong_is_named() {
-        for header in [JOB, FRONT, METHOD, PRIORITY, CALLER] {
+        for header in [JOB, FRONT, METHOD, PRIORITY, CALLER, AGE] {
             let mut headers = HeaderMap::new();
             for (name, values) in posted().headers().iter().filter(|(name, _)| name.to_string() != header) {
                 values.iter().for_each(|value| headers.append(name.clone(), value.clone()));
@@ -294,8 +297,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_headers_are_a_job_or_an_error(values in prop::collection::vec("[ -~]{0,40}", 14)) {
-            let names = [JOB, FRONT, METHOD, PRIORITY, HAND, CALLER, TIMEOUT, REQUEST_ID, TRACEPARENT, OBJECT,
+        fn any_headers_are_a_job_or_an_error(values in prop::collection::vec("[ -~]{0,40}", 15)) {
+            let names = [AGE, JOB, FRONT, METHOD, PRIORITY, HAND, CALLER, TIMEOUT, REQUEST_ID, TRACEPARENT, OBJECT,
                 REPLY, ATTEMPT, CODE, MESSAGE];
             let mut headers = HeaderMap::new();
             for (name, value) in names.into_iter().zip(values) {

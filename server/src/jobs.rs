@@ -68,12 +68,21 @@ pub struct Job {
     pub hands: Vec<HandRef>,
     /// Who calls.
     pub caller: String,
-    /// Time until the caller stops waiting; `None`: it named no time.
+    /// How long ago the call arrived.
+    pub age: Duration,
+    /// How long after its arrival the caller stops waiting; `None`: it named no time.
     pub timeout: Option<Duration>,
     /// The caller's name for the request; may be empty.
     pub request_id: String,
     /// What the job is part of, as W3C `traceparent`; empty: of nothing.
     pub traceparent: String,
+}
+
+impl Job {
+    /// Time until the caller stops waiting.
+    pub fn left(&self) -> Option<Duration> {
+        self.timeout.map(|timeout| timeout.saturating_sub(self.age))
+    }
 }
 
 /// Encoded responses of the job's method, in their order. Dropping them cancels the job.

@@ -125,14 +125,13 @@ impl LocalEngine {
 }
 
 /// A call as the service's layer would hand it on.
-fn call<T: Message + Default>(job: &Job) -> Result<Request<T>, JobError> {
+fn call<T: Message + Default>(job: &Job, clock: CallClock) -> Result<Request<T>, JobError> {
     let message = T::decode(job.request.clone()).map_err(|e| {
         JobError::Refused(Status::from(ServiceError::MalformedMessage { problem: e.to_string() }))
     })?;
     let mut request = Request::new(message);
     let trace = TraceContext::of_text(Some(job.traceparent.as_str()).filter(|text| !text.is_empty()));
-    let clock = CallClock { arrived: Instant::now(), timeout: job.timeout, trace };
-    request.extensions_mut().insert(clock);
+    request.extensions_mut().insert(CallClock { trace, ..clock });
     request.extensions_mut().insert(Caller::named(&job.caller));
     Ok(request)
 }
@@ -149,26 +148,29 @@ fn encode(message: &impl Message) -> Bytes {
 #[tonic::async_trait]
 impl JobEngine for LocalEngine {
     async fn submit(&self, job: Job) -> Result<Replies, JobError> {
-        let began = Instant::now();
         let planner = &self.planner;
+        let now = Instant::now();
+        // Budgets count from where the call arrived, wherever that was.
+        let arrived = now.checked_sub(job.age).unwrap_or(now);
+        let clock = CallClock { arrived, timeout: job.timeout, trace: TraceContext::default() };
         let begin = async {
             Ok(match job.kind {
                 JobKind::PlanGrasps => {
-                    let answer = planner.plan_grasps(call::<v1::PlanGraspsRequest>(&job)?).await;
+                    let answer = planner.plan_grasps(call::<v1::PlanGraspsRequest>(&job, clock)?).await;
                     let answer = answer.map_err(JobError::Refused)?.into_inner();
                     Box::pin(tokio_stream::once(Ok(encode(&answer)))) as Replies
                 }
                 JobKind::StreamGrasps => {
-                    let answer = planner.stream_grasps(call::<v1::StreamGraspsRequest>(&job)?).await;
+                    let answer = planner.stream_grasps(call::<v1::StreamGraspsRequest>(&job, clock)?).await;
                     encoded(answer.map_err(JobError::Refused)?.into_inner())
                 }
                 JobKind::PlanMultiHand => {
-                    let answer = planner.plan_multi_hand(call::<v1::PlanMultiHandRequest>(&job)?).await;
+                    let answer =
+                        planner.plan_multi_hand(call::<v1::PlanMultiHandRequest>(&job, clock)?).await;
                     encoded(answer.map_err(JobError::Refused)?.into_inner())
                 }
             })
         };
-        let clock = CallClock { arrived: began, timeout: job.timeout, trace: TraceContext::default() };
         match clock.answer_deadline() {
             None => begin.await,
             // What the service's layer does for a call of its own; streams keep their time themselves.

@@ -150,14 +150,14 @@ impl Engine {
 
     fn job(&self, call: &Call, tasks: &[Task], kind: JobKind, wire: Wire) -> Job {
         let hand = |task: &Task| HandRef { id: task.hand.id.clone(), revision: task.hand.revision.clone() };
-        let timeout = call.clock.timeout.map(|timeout| timeout.saturating_sub(call.clock.elapsed()));
         Job {
             kind,
             request: wire.request,
             priority: tasks.iter().map(|t| t.job.priority).max().unwrap_or(Priority::Normal),
             hands: tasks.iter().map(hand).collect(),
             caller: wire.caller,
-            timeout,
+            age: call.clock.elapsed(),
+            timeout: call.clock.timeout,
             request_id: wire.request_id,
             traceparent: call.clock.trace.traceparent(),
         }
