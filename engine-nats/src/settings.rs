@@ -95,8 +95,11 @@ impl NatsConfig {
 
     /// The broker's addresses without what is secret.
     pub(crate) fn shown(servers: &[ServerAddr]) -> String {
+        let host = |s: &ServerAddr| {
+            if s.host().contains(':') { format!("[{}]", s.host()) } else { s.host().to_owned() }
+        };
         let shown: Vec<_> =
-            servers.iter().map(|s| format!("{}://{}:{}", s.scheme(), s.host(), s.port())).collect();
+            servers.iter().map(|s| format!("{}://{}:{}", s.scheme(), host(s), s.port())).collect();
         shown.join(",")
     }
 }
