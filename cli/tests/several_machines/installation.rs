@@ -75,6 +75,12 @@ impl Process {
         self.child.wait().unwrap();
     }
 
+    /// Asks it to end.
+    pub(crate) fn terminate(&self) {
+        let asked = Command::new("kill").arg(self.child.id().to_string()).status();
+        assert!(asked.unwrap().success());
+    }
+
     /// Lines of its log that have this in them.
     pub(crate) fn lines_with(&self, text: &str) -> Vec<String> {
         self.log.lock().unwrap().iter().filter(|line| line.contains(text)).cloned().collect()

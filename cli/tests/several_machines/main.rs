@@ -38,9 +38,9 @@ fn small() -> PlanGraspsRequest {
     search(4, 4)
 }
 
-/// Much more than a second, unless it is stopped by its budget after that.
+/// Longer than any test, but for its budget.
 fn slow() -> PlanGraspsRequest {
-    let mut request = search(500, 10_000);
+    let mut request = search(4096, 10_000);
     request.options.as_mut().unwrap().budget = Some("3s".parse().unwrap());
     request
 }
@@ -122,6 +122,29 @@ async fn every_call_is_answered_once_while_workers_are_killed() {
     let mut second = installation.worker();
     second.wait_for("attempt=2");
     calling.await.unwrap().unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_is_given_back_by_a_worker_that_ends_and_given_up_with_the_third_that_is_lost() {
+    let Some(installation) = Installation::start("leaving") else { return };
+    let front = installation.front(&[]);
+    let (mut ends, client) = (installation.worker(), front.client().await);
+    ends.wait_for("working");
+    let mut endless = slow();
+    endless.options.as_mut().unwrap().budget = None;
+    let calling = tokio::spawn(async move { client.plan_grasps(&endless).await });
+    ends.wait_for("attempt=1");
+    // After a second of grace.
+    ends.terminate();
+    ends.wait_for("job given back");
+    for attempt in ["attempt=2", "attempt=3"] {
+        let mut lost = installation.worker();
+        lost.wait_for(attempt);
+        lost.kill();
+    }
+    let given_up = error(calling.await.unwrap());
+    assert_eq!(given_up.code, Code::Internal, "{given_up}");
+    assert!(given_up.message.contains("3 workers"), "{given_up}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
