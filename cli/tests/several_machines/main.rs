@@ -142,7 +142,10 @@ async fn a_job_is_given_back_by_a_worker_that_ends_and_given_up_with_the_third_t
         lost.wait_for(attempt);
         lost.kill();
     }
+    // The broker notices when the next one asks for work, who does not get it.
+    let spared = installation.worker();
     let given_up = error(calling.await.unwrap());
+    assert!(spared.lines_with("attempt=").is_empty());
     assert_eq!(given_up.code, Code::Internal, "{given_up}");
     assert!(given_up.message.contains("3 workers"), "{given_up}");
 }
