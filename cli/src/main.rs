@@ -3,6 +3,8 @@
 mod clock;
 mod commands;
 mod demo_scene;
+#[cfg(test)]
+mod documents;
 #[cfg(feature = "devices")]
 mod devices;
 mod estimators;
@@ -17,10 +19,10 @@ mod view;
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-use commands::{bench, demo, doctor, hands, load, plan, recalibrate, replay, serve};
+use commands::{bench, demo, doctor, hands, load, plan, recalibrate, replay, serve, shell};
 #[cfg(feature = "sim")]
 use commands::{cell, dataset, eval};
 #[cfg(feature = "devices")]
@@ -57,6 +59,8 @@ enum Command {
     Doctor(Box<doctor::DoctorArgs>),
     Replay(Box<replay::ReplayArgs>),
     Recalibrate(recalibrate::RecalibrateArgs),
+    Completions(shell::CompletionsArgs),
+    Man(shell::ManArgs),
     #[cfg(feature = "sim")]
     Cell(cell::CellArgs),
     #[cfg(feature = "sim")]
@@ -95,6 +99,8 @@ fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Recalibrate(args) => recalibrate::run(args),
+        Command::Completions(args) => shell::completions(args, Cli::command()),
+        Command::Man(args) => shell::man(args, Cli::command()),
         #[cfg(feature = "sim")]
         Command::Cell(args) => cell::run(args),
         #[cfg(feature = "sim")]
@@ -129,7 +135,6 @@ fn is_closed_pipe(error: &anyhow::Error) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory as _;
 
     #[test]
     fn the_command_line_is_consistent() {

@@ -22,6 +22,7 @@ mod estimates;
 mod health;
 mod http;
 mod metrics;
+mod page;
 mod random;
 mod recorder;
 mod scenes;
@@ -32,6 +33,7 @@ mod trace;
 
 pub use deadline::{CallBudget, CancelOnDrop};
 pub use estimators::Estimators;
+pub use page::{Example, Page};
 pub use recorder::RecordConfig;
 pub use registry::read_hand_dir;
 pub use serve::{LoadProbe, ServeError, Server, ServerConfig, shutdown_signal};

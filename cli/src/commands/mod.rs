@@ -20,3 +20,4 @@ pub(crate) mod plan;
 pub(crate) mod recalibrate;
 pub(crate) mod replay;
 pub(crate) mod serve;
+pub(crate) mod shell;
