@@ -95,7 +95,8 @@ fn links_lead_somewhere() {
                 continue;
             }
             count += 1;
-            let (file, anchor) = target.split_once('#').map_or((target.as_str(), None), |(f, a)| (f, Some(a)));
+            let (file, anchor) =
+                target.split_once('#').map_or((target.as_str(), None), |(f, a)| (f, Some(a)));
             let to = if file.is_empty() { path.clone() } else { path.parent().unwrap().join(file) };
             let Ok(to) = to.canonicalize() else {
                 wrong.push(format!("{}: {target} is not there", path.display()));
@@ -144,7 +145,9 @@ fn calls(lines: &[&str]) -> Vec<Vec<String>> {
                 command.iter().skip_while(|w| w.contains('=') && !w.starts_with('-')).cloned().collect();
             let mut words = command.iter().map(String::as_str);
             let arguments = match words.next() {
-                Some("graspd" | "target/release/graspd" | "target/debug/graspd") => Some(words.collect::<Vec<_>>()),
+                Some("graspd" | "target/release/graspd" | "target/debug/graspd") => {
+                    Some(words.collect::<Vec<_>>())
+                }
                 Some("cargo") if words.next() == Some("run") => {
                     let own = words.clone().take_while(|w| *w != "--").any(|w| w == "-p" || w == "--example");
                     let rest: Vec<&str> = words.skip_while(|w| *w != "--").skip(1).collect();
@@ -177,7 +180,9 @@ fn commands_in_documents_are_commands() {
                 match Cli::try_parse_from(all) {
                     Ok(_) => {}
                     Err(error) if !error.use_stderr() => {}
-                    Err(error) => wrong.push(format!("{}: graspd {}\n{error}", path.display(), arguments.join(" "))),
+                    Err(error) => {
+                        wrong.push(format!("{}: graspd {}\n{error}", path.display(), arguments.join(" ")))
+                    }
                 }
             }
         }
@@ -193,7 +198,8 @@ fn the_book_has_every_document() {
     let named: BTreeSet<PathBuf> = (summary.lines().flat_map(links))
         .map(|target| docs.join(&target).canonicalize().unwrap_or_else(|e| panic!("{target}: {e}")))
         .collect();
-    let there = documents().into_keys().filter(|path| path.starts_with(&docs) && !path.ends_with("SUMMARY.md"));
+    let there =
+        documents().into_keys().filter(|path| path.starts_with(&docs) && !path.ends_with("SUMMARY.md"));
     let missing: Vec<_> = there.filter(|path| !named.contains(path)).collect();
     assert!(missing.is_empty(), "not in docs/SUMMARY.md: {missing:?}");
 }
@@ -203,7 +209,12 @@ fn the_checks_see_what_is_wrong() {
     assert_eq!(links("a [b](c.md#d) `[no](x)` ![p](q.png \"t\")"), ["c.md#d", "q.png"]);
     let set = anchors("# A, b\n```sh\n# not this\n```\n## Score: 0.5?\n## A b");
     assert_eq!(set, ["a-b", "a-b-1", "score-05"].map(str::to_owned).into());
-    let block = ["graspd serve --listen \\", "  127.0.0.1:1 & # now", "X=1 graspd hands list | head", "cargo run --release -- demo"];
+    let block = [
+        "graspd serve --listen \\",
+        "  127.0.0.1:1 & # now",
+        "X=1 graspd hands list | head",
+        "cargo run --release -- demo",
+    ];
     let found = calls(&block);
     assert_eq!(found, [vec!["serve", "--listen", "127.0.0.1:1"], vec!["hands", "list"], vec!["demo"]]);
     assert!(Cli::try_parse_from(["graspd", "serve", "--no-such-flag"]).is_err());

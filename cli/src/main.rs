@@ -3,10 +3,10 @@
 mod clock;
 mod commands;
 mod demo_scene;
-#[cfg(test)]
-mod documents;
 #[cfg(feature = "devices")]
 mod devices;
+#[cfg(test)]
+mod documents;
 mod estimators;
 mod hand_source;
 mod input;

@@ -15,11 +15,7 @@ const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 macro_rules! script {
     ($name:literal) => {
-        File {
-            path: concat!("/page/", $name),
-            kind: SCRIPT,
-            bytes: include_bytes!(concat!("web/", $name)),
-        }
+        File { path: concat!("/page/", $name), kind: SCRIPT, bytes: include_bytes!(concat!("web/", $name)) }
     };
 }
 
@@ -66,10 +62,8 @@ mod tests {
         let found: BTreeSet<String> = (std::fs::read_dir(folder).unwrap())
             .map(|entry| entry.unwrap().file_name().into_string().unwrap())
             .collect();
-        let served: BTreeSet<String> = FILES
-            .iter()
-            .map(|f| f.path.strip_prefix("/page/").unwrap_or("index.html").to_owned())
-            .collect();
+        let served: BTreeSet<String> =
+            FILES.iter().map(|f| f.path.strip_prefix("/page/").unwrap_or("index.html").to_owned()).collect();
         assert_eq!(found, served);
         for file in &FILES {
             let first = text(file).lines().next().unwrap();

@@ -44,7 +44,8 @@ pub(super) fn check<B>(
         return Err(Stranger::Host);
     }
     if let Some(origin) = header(ORIGIN.as_str()) {
-        let same = origin.split_once("://").is_some_and(|(_, authority)| authority.eq_ignore_ascii_case(host));
+        let same =
+            origin.split_once("://").is_some_and(|(_, authority)| authority.eq_ignore_ascii_case(host));
         if !same {
             return Err(Stranger::Site);
         }
@@ -110,8 +111,14 @@ mod tests {
         let host = ("host", "127.0.0.1:50051");
         let with = |name, value, is_document| asked(&[host, (name, value)], false, is_document);
         assert_eq!(with("origin", "http://127.0.0.1:50051", false), Ok(()));
-        let others =
-            ["http://evil.example", "null", "", "http://127.0.0.1:50052", "http://localhost:50051", "127.0.0.1:50051"];
+        let others = [
+            "http://evil.example",
+            "null",
+            "",
+            "http://127.0.0.1:50052",
+            "http://localhost:50051",
+            "127.0.0.1:50051",
+        ];
         for other in others {
             assert_eq!(with("origin", other, true), Err(Stranger::Site), "{other}");
         }

@@ -94,7 +94,10 @@ impl Site {
     /// Answers everything that is no call.
     fn answer(&self, request: &Request<Body>) -> Response<Body> {
         if !matches!(*request.method(), Method::GET | Method::HEAD) {
-            return text(StatusCode::METHOD_NOT_ALLOWED, &"only GET, and calls as application/grpc-web+proto");
+            return text(
+                StatusCode::METHOD_NOT_ALLOWED,
+                &"only GET, and calls as application/grpc-web+proto",
+            );
         }
         let path = request.uri().path();
         if let Some(file) = files::file(path) {

@@ -139,7 +139,9 @@ fn the_pages_protocol_is_the_servers() {
         std::fs::read_to_string(&path).unwrap() == script,
         "{FILE} is not what the protocol says; write it anew with GRASPD_WRITE_GENERATED=1"
     );
-    for expected in ["rejected_counts\", \"map:string:int32\", \"map\"", "\"DepthFrame\", \"repeated\"", "9: \"NO_GRASP"] {
+    for expected in
+        ["rejected_counts\", \"map:string:int32\", \"map\"", "\"DepthFrame\", \"repeated\"", "9: \"NO_GRASP"]
+    {
         assert!(script.contains(expected), "{expected}");
     }
 }

@@ -40,8 +40,5 @@ pub(super) async fn read(
             Ok::<_, ServiceError>(convert::scene_response(scene, &frames, &context))
         })
         .map_err(|e| ServiceError::of_pool(&e, || clock.elapsed()))?;
-    engine
-        .finish(&call.budget, ticket)
-        .await
-        .map_err(|e| ServiceError::of_pool(&e, || clock.elapsed()))?
+    engine.finish(&call.budget, ticket).await.map_err(|e| ServiceError::of_pool(&e, || clock.elapsed()))?
 }
