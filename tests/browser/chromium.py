@@ -12,6 +12,7 @@ KEYS = {
     "Enter": ("Enter", 13, "\r"),
     "Home": ("Home", 36, None),
     "End": ("End", 35, None),
+    "+": ("Equal", 187, "+"),
     "ArrowLeft": ("ArrowLeft", 37, None),
     "ArrowUp": ("ArrowUp", 38, None),
     "ArrowRight": ("ArrowRight", 39, None),
@@ -181,8 +182,13 @@ class Tab:
     def type(self, text: str) -> None:
         self.send("Input.insertText", text=text)
 
-    def screenshot(self, path: str, whole: bool = False) -> None:
-        data = self.send("Page.captureScreenshot", format="png", captureBeyondViewport=whole)["data"]
+    def screenshot(self, path: str, selector: str | None = None) -> None:
+        """Of the window, or of one element."""
+        clip = {}
+        if selector:
+            where = self.js(f"(r => [r.x, r.y, r.width, r.height])(document.querySelector({json.dumps(selector)}).getBoundingClientRect())")
+            clip = {"clip": dict(zip(["x", "y", "width", "height"], where)) | {"scale": 1}}
+        data = self.send("Page.captureScreenshot", format="png", **clip)["data"]
         with open(path, "wb") as file:
             file.write(base64.b64decode(data))
 

@@ -56,7 +56,7 @@ def still(tab: Tab) -> dict:
         if last and now["sum"] == last["sum"] and now["frames"] == last["frames"]:
             return now
         last = now
-        time.sleep(0.2)
+        time.sleep(0.12)
 
 
 def pressed(tab: Tab, selector: str) -> bool:
@@ -124,9 +124,11 @@ def keyboard(tab: Tab) -> None:
     tab.js("document.activeElement.blur()")
     tab.js("window.scrollTo(0, 0)")
     reached = []
-    for _ in range(70):
+    # Twice around: where it begins is up to what was clicked last.
+    for _ in range(150):
         tab.key("Tab")
         reached.append(tab.js("(e => e.id || e.className || e.getAttribute('data-layer') || e.tagName)(document.activeElement)"))
+    reached = reached[reached.index("skip") :]
     wanted = ["skip", "example", "choose", "estimator", "plan", "view", "moment"]
     places = [reached.index(name) for name in wanted]
     assert places == sorted(places), reached
@@ -253,6 +255,19 @@ def tokens(tab: Tab, url: str, token: str) -> None:
     tab.wait("/running/.test(document.getElementById('load').innerText)")
 
 
+def pictures(tab: Tab, out: Path) -> None:
+    """Pictures of the documents that no check makes: the contact field alone."""
+    hidden = ["hand", "pads", "contacts", "others", "volume"]
+    for layer in [*hidden, "directions"]:
+        tab.click(f"#layers [data-layer='{layer}']")
+    for _ in range(3):
+        tab.js("document.getElementById('view').focus()")
+        tab.key("+")
+    tab.js("for (const id of ['layers', 'legend']) document.getElementById(id).hidden = true")
+    still(tab)
+    tab.screenshot(str(out / "contact-field.png"), "#view")
+
+
 def quiet(tab: Tab, url: str, allowed: tuple[str, ...] = ()) -> None:
     """No exception, no refused script or style, and nothing from elsewhere."""
     thrown = [e["exceptionDetails"] for e in tab.events("Runtime.exceptionThrown")]
@@ -273,8 +288,11 @@ def main() -> None:
     parser.add_argument("--tokens", nargs=2)
     parser.add_argument("--assets", type=Path, required=True)
     parser.add_argument("--recording", type=Path, required=True)
+    parser.add_argument("--pictures", action="store_true", help="pictures of the documents too")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
+    # The browser stands in another folder.
+    args.out, args.assets, args.recording = (p.resolve() for p in (args.out, args.assets, args.recording))
     browser = Browser(args.browser)
     try:
         tab = Tab(browser, 1280, 800)
@@ -286,6 +304,12 @@ def main() -> None:
             began = time.monotonic()
             step()
             print(f"{step.__code__.co_names[0]}: {time.monotonic() - began:.1f} s")
+        if args.pictures:
+            tab = Tab(browser, 1280, 800)
+            tab.theme("light")
+            tab.open(args.server)
+            looks(tab, args.out)
+            pictures(tab, args.out)
         if args.tokens:
             asked = Tab(browser, 1280, 800)
             tokens(asked, *args.tokens)

@@ -35,4 +35,4 @@ export function bar(share, text, color) {
 
 export const words = text => text.replaceAll("_", " ");
 export const mm = x => (1000 * x).toFixed(1) + " mm";
-export const ms = s => s < 0.0995 ? (1000 * s).toFixed(1) + " ms" : s < 9.995 ? (1000 * s).toFixed(0) + " ms" : s.toFixed(1) + " s";
+export const ms = s => s < 0.0995 ? (1000 * s).toFixed(1) + " ms" : s < 0.9995 ? (1000 * s).toFixed(0) + " ms" : s.toFixed(2) + " s";

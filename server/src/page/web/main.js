@@ -305,7 +305,7 @@ function layers() {
   const scale = make("span", "unsure"), track = make("i", null, { class: "ramp" });
   track.style.background = "linear-gradient(90deg," + [0, .33, .66, 1].map(t => css(ramp(t))).join(",") + ")";
   scale.append(track, "sure");
-  const dots = [[CENTROID, "centroid"], [CONTACT, "expected contact"], [CENTER, "grasp centre"], [PAD, "pad"]].map(([color, words]) => {
+  const dots = [[CENTROID, "centroid"], [CONTACT, "expected contact"], [CENTER, "middle"], [PAD, "pad"]].map(([color, words]) => {
     const item = make("span"), dot = make("i", null, { class: "dot" });
     dot.style.background = css(color);
     item.append(dot, words);

@@ -75,16 +75,16 @@ export function watch() {
   const look = async () => {
     try {
       const response = await fetch("/metrics", { headers: token.header() });
-      if (!response.ok) throw new Error("HTTP " + response.status);
+      if (response.status === 401) throw new Error("load: a token is needed");
+      if (!response.ok) throw new Error("no metrics: HTTP " + response.status);
       const all = parse(await response.text()), now = buckets(all), last = looks.at(-1) || new Map(now);
       looks.push(now);
       history.push({ p50: quantile(last, now, 0.5), p95: quantile(last, now, 0.95) });
       if (looks.length > KEPT) looks.shift();
       if (history.length > KEPT) history.shift();
       show(all, looks[0], history);
-      $("status").classList.remove("warn");
-    } catch {
-      $("load").replaceChildren(make("div", token.get() ? "no metrics" : "the server does not answer", { class: "quiet" }));
+    } catch (error) {
+      $("load").replaceChildren(make("div", error instanceof TypeError ? "the server does not answer" : error.message, { class: "quiet" }));
     }
   };
   setInterval(() => { if (!document.hidden) look(); }, EVERY_MS);

@@ -7,6 +7,24 @@ const EDGE_M = 0.016;
 // What is further from the middle of the table than this is left out, metres.
 const REACH_M = 0.6;
 
+// Points that are missing, as pin holes of a sensor are, where nearly all around them are there and agree; for drawing
+// alone, and never a point that was seen.
+function closed(points, width, height) {
+  const out = points.slice();
+  for (let v = 1; v < height - 1; v++) for (let u = 1; u < width - 1; u++) {
+    const i = 3 * (v * width + u);
+    if (!Number.isNaN(points[i])) continue;
+    const near = [];
+    for (let b = -1; b <= 1; b++) for (let a = -1; a <= 1; a++) {
+      const j = i + 3 * (b * width + a);
+      if (!Number.isNaN(points[j])) near.push([points[j], points[j + 1], points[j + 2]]);
+    }
+    const mean = [0, 1, 2].map(k => near.reduce((sum, p) => sum + p[k], 0) / near.length);
+    if (near.length >= 6 && near.every(p => Math.hypot(...sub(p, mean)) < EDGE_M / 2)) out.set(mean, i);
+  }
+  return out;
+}
+
 // Mean over neighbours that belong together, which takes the sensor's grain out of the picture; only for drawing.
 function smoothed(points, width, height) {
   const out = points.slice();
@@ -30,7 +48,7 @@ function smoothed(points, width, height) {
 // Positions, normals and colours of the points that are kept, and triangles of their numbers. `middle` is of the table,
 // `up` away from it.
 export function surface({ width, height, points_m }, middle, up) {
-  const points = smoothed(points_m, width, height), slot = new Int32Array(width * height).fill(-1), kept = [];
+  const points = smoothed(closed(points_m, width, height), width, height), slot = new Int32Array(width * height).fill(-1), kept = [];
   const at = i => [points[3 * i], points[3 * i + 1], points[3 * i + 2]];
   for (let i = 0; i < width * height; i++) {
     if (Number.isNaN(points[3 * i]) || Math.hypot(...sub(at(i), middle)) > REACH_M) continue;

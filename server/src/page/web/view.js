@@ -65,7 +65,7 @@ export class View {
     this.camera.target = add(this.middle, scaled(this.up, 0.06));
     const [a, b] = this.ground(), out = sub(cameraAt || add(this.middle, add(scaled(this.up, 1), scaled(b, -1))), this.middle);
     this.camera.azimuth = Math.atan2(dot(out, b), dot(out, a)) + 0.35;
-    this.camera.elevation = Math.min(Math.max(Math.asin(dot(unit(out), this.up)), 0.3), 0.62);
+    this.camera.elevation = Math.min(Math.max(Math.asin(dot(unit(out), this.up)), 0.3), 0.44);
     this.camera.distance = size * 2.05;
     this.redraw();
   }
@@ -140,10 +140,12 @@ export class View {
     const aspect = width / height, angle = aspect < 1 ? 2 * Math.atan(Math.tan(ANGLE / 2) / aspect) : ANGLE;
     const view = { eye, up: this.up, clip: mul(perspective(angle, aspect, 0.02, 6), look), scale: height / (2 * Math.tan(angle / 2)),
       light: unit(add(add(this.up, scaled(this.right, -0.5)), scaled(out, 0.25))) };
+    // In the dark what the camera saw does not outshine the rest.
+    const tint = sky[0] + sky[1] + sky[2] < 1.5 ? [0.45, 0.46, 0.5] : [1, 1, 1];
     if (scene) {
-      g.useLit(view);
+      g.useLit(view, { tint });
       if (on.surface) scene.surfaces.forEach(s => g.draw(s, gl.TRIANGLES));
-      g.useLit(view, { size: on.surface ? 0.0012 : 0.0028 });
+      g.useLit(view, { tint, size: on.surface ? 0.0012 : 0.0028 });
       if (on.points) scene.points.forEach(p => g.draw(p, gl.POINTS));
     }
     if (shown && shown.model && (on.hand || on.pads)) this.hand(view);
