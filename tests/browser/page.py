@@ -263,6 +263,7 @@ def pictures(tab: Tab, out: Path) -> None:
     for _ in range(3):
         tab.js("document.getElementById('view').focus()")
         tab.key("+")
+    tab.js("document.activeElement.blur()")
     tab.js("for (const id of ['layers', 'legend']) document.getElementById(id).hidden = true")
     still(tab)
     tab.screenshot(str(out / "contact-field.png"), "#view")

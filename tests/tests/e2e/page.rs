@@ -92,7 +92,9 @@ async fn web_call(
     bytes.extend(u32::try_from(message.len()).unwrap().to_be_bytes());
     bytes.extend(message);
     let (head, body) = answer(addr, &bytes).await;
-    let (mut rest, mut messages, mut trailers) = (&body[..], Vec::new(), String::new());
+    let (mut messages, mut trailers) = (Vec::new(), String::new());
+    // What is refused before it is a call is text.
+    let mut rest = if head.contains("application/grpc-web") { &body[..] } else { &[] };
     while let [kind, a, b, c, d, tail @ ..] = rest {
         let (data, next) = tail.split_at(u32::from_be_bytes([*a, *b, *c, *d]) as usize);
         match kind {
