@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use graspd_planner::estimator::Geometric;
 use graspd_proto::v1;
@@ -81,17 +82,7 @@ async fn web_call(
     message: &impl Message,
     headers: &str,
 ) -> (String, Vec<Vec<u8>>, String) {
-    let message = message.encode_to_vec();
-    let mut bytes = format!(
-        "POST /graspd.v1.{method} HTTP/1.1\r\nHost: {addr}\r\ncontent-type: application/grpc-web+proto\r\n\
-         accept: application/grpc-web+proto\r\n{headers}content-length: {}\r\nConnection: close\r\n\r\n",
-        message.len() + 5
-    )
-    .into_bytes();
-    bytes.push(0);
-    bytes.extend(u32::try_from(message.len()).unwrap().to_be_bytes());
-    bytes.extend(message);
-    let (head, body) = answer(addr, &bytes).await;
+    let (head, body) = answer(addr, &web_request(addr, method, message, headers)).await;
     let (mut messages, mut trailers) = (Vec::new(), String::new());
     // What is refused before it is a call is text.
     let mut rest = if head.contains("application/grpc-web") { &body[..] } else { &[] };
@@ -104,6 +95,21 @@ async fn web_call(
         rest = next;
     }
     (head, messages, trailers)
+}
+
+/// The bytes of a call as the page makes it.
+fn web_request(addr: SocketAddr, method: &str, message: &impl Message, headers: &str) -> Vec<u8> {
+    let message = message.encode_to_vec();
+    let mut bytes = format!(
+        "POST /graspd.v1.{method} HTTP/1.1\r\nHost: {addr}\r\ncontent-type: application/grpc-web+proto\r\n\
+         accept: application/grpc-web+proto\r\n{headers}content-length: {}\r\nConnection: close\r\n\r\n",
+        message.len() + 5
+    )
+    .into_bytes();
+    bytes.push(0);
+    bytes.extend(u32::try_from(message.len()).unwrap().to_be_bytes());
+    bytes.extend(message);
+    bytes
 }
 
 #[tokio::test]
@@ -184,6 +190,24 @@ async fn calls_of_the_page_are_calls() {
     let (head, _, trailers) =
         web_call(server.addr, "PlannerService/ReadScene", &slow, "grpc-timeout: 300m\r\n").await;
     assert!((head + &trailers).contains("grpc-status: 4"));
+}
+
+#[tokio::test]
+async fn a_browser_that_goes_away_takes_its_call_with_it() {
+    let server = TestServer::start_with(with_page()).await;
+    let slow = v1::ReadSceneRequest {
+        frames: vec![BoxScene::default().frame()],
+        scene_options: Some(v1::SceneOptions {
+            estimator: graspd_tests::STALLS.to_owned(),
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    let mut stream = TcpStream::connect(server.addr).await.unwrap();
+    stream.write_all(&web_request(server.addr, "PlannerService/ReadScene", &slow, "")).await.unwrap();
+    server.busy().await;
+    drop(stream);
+    server.idle_within(Duration::from_secs(20)).await;
 }
 
 #[tokio::test]
