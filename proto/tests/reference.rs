@@ -1,5 +1,6 @@
 //! Writes `docs/api.md`, the protocol for people, from the protocol's own comments; and checks that the file is what it
 //! would write. `GRASPD_WRITE_GENERATED=1 cargo test -p graspd-proto` writes it anew.
+#![allow(clippy::unwrap_used, reason = "helpers of tests are not in test functions")]
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
