@@ -5,6 +5,8 @@ mod commands;
 mod demo_scene;
 #[cfg(feature = "devices")]
 mod devices;
+#[cfg(test)]
+mod documents;
 mod estimators;
 mod hand_source;
 mod input;
@@ -17,10 +19,10 @@ mod view;
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-use commands::{bench, demo, doctor, hands, load, plan, recalibrate, replay, serve};
+use commands::{bench, demo, doctor, hands, load, plan, recalibrate, replay, serve, shell};
 #[cfg(feature = "sim")]
 use commands::{cell, dataset, eval};
 #[cfg(feature = "devices")]
@@ -63,6 +65,8 @@ enum Command {
     Doctor(Box<doctor::DoctorArgs>),
     Replay(Box<replay::ReplayArgs>),
     Recalibrate(recalibrate::RecalibrateArgs),
+    Completions(shell::CompletionsArgs),
+    Man(shell::ManArgs),
     #[cfg(feature = "sim")]
     Cell(cell::CellArgs),
     #[cfg(feature = "sim")]
@@ -110,6 +114,8 @@ fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Recalibrate(args) => recalibrate::run(args),
+        Command::Completions(args) => shell::completions(args, Cli::command()),
+        Command::Man(args) => shell::man(args, Cli::command()),
         #[cfg(feature = "sim")]
         Command::Cell(args) => cell::run(args),
         #[cfg(feature = "sim")]
@@ -144,7 +150,6 @@ fn is_closed_pipe(error: &anyhow::Error) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory as _;
 
     #[test]
     fn the_command_line_is_consistent() {

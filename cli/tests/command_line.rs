@@ -111,3 +111,27 @@ fn a_closed_pipe_is_no_panic() {
     assert!(status.success(), "{said}");
     assert!(said.is_empty(), "{said}");
 }
+
+#[test]
+fn shells_and_the_manual_know_the_commands() {
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let script = output(&["completions", shell]);
+        assert!(script.status.success(), "{}", text(&script.stderr));
+        let script = text(&script.stdout);
+        assert!(script.contains("recalibrate") && script.contains("no-page"), "{shell}: {script}");
+    }
+    // The shell itself says whether it can read it; a machine without it has nothing to read it with.
+    let mut bash = match Command::new("bash").arg("-n").stdin(Stdio::piped()).spawn() {
+        Ok(bash) => bash,
+        Err(_) => return,
+    };
+    let script = output(&["completions", "bash"]).stdout;
+    std::io::Write::write_all(&mut bash.stdin.take().unwrap(), &script).unwrap();
+    assert!(bash.wait().unwrap().success());
+    let page = text(&output(&["man"]).stdout);
+    assert!(page.contains(".TH graspd 1") && page.contains("graspd\\-serve(1)"), "{page}");
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("man");
+    assert!(output(&["man", "--out", &folder.display().to_string()]).status.success());
+    let serve = std::fs::read_to_string(folder.join("graspd-serve.1")).unwrap();
+    assert!(serve.contains("no\\-page"), "{serve}");
+}

@@ -145,6 +145,13 @@ pub(crate) struct ReadScene {
     _room: SceneRoom,
 }
 
+impl ReadScene {
+    /// The scene, and the stages before those that it has timed itself.
+    pub(crate) fn parts(&self) -> (&Scene, &[(&'static str, Duration)]) {
+        (&self.scene, &self.stages)
+    }
+}
+
 impl Engine {
     /// A call with its scene; unknown estimators are found before anything is queued.
     pub(crate) fn call(
@@ -359,6 +366,11 @@ impl Call {
             Some(deadline) => tokio::time::sleep_until(deadline.into()).await,
             None => std::future::pending().await,
         }
+    }
+
+    /// What was asked to be read, and the estimator's name.
+    pub(crate) fn asked(&self) -> (&Arc<SceneRequest>, &str) {
+        (&self.scene, self.estimator.name())
     }
 
     /// Time since the arrival.

@@ -45,13 +45,18 @@ pub(crate) async fn serve(listener: TcpListener, engine: Arc<Engine>) {
     }
 }
 
+/// The content type of [`metrics`].
+pub(crate) const METRICS_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// Everything that is counted and timed, in the OpenMetrics format.
+pub(crate) fn metrics(engine: &Engine) -> String {
+    engine.metrics.encode(&engine.pool, engine.scenes.read_count(), engine.health.is_ready())
+}
+
 fn answer(request: &Request<Incoming>, engine: &Engine) -> Response<Body> {
     let ready = engine.health.is_ready();
     let (status, kind, text) = match (request.method(), request.uri().path()) {
-        (&Method::GET, "/metrics") => {
-            let text = engine.metrics.encode(&engine.pool, engine.scenes.read_count(), ready);
-            (StatusCode::OK, "application/openmetrics-text; version=1.0.0; charset=utf-8", text)
-        }
+        (&Method::GET, "/metrics") => (StatusCode::OK, METRICS_TYPE, metrics(engine)),
         (&Method::GET, "/livez") => (StatusCode::OK, "text/plain", "alive\n".to_owned()),
         (&Method::GET, "/readyz") if ready => (StatusCode::OK, "text/plain", "ready\n".to_owned()),
         (&Method::GET, "/readyz") => {
@@ -63,13 +68,17 @@ fn answer(request: &Request<Incoming>, engine: &Engine) -> Response<Body> {
         }
         _ => (StatusCode::METHOD_NOT_ALLOWED, "text/plain", "only GET\n".to_owned()),
     };
-    let mut response = Response::new(Body::new(OneFrame(Some(text.into()))));
+    let mut response = Response::new(one_piece(text.into()));
     *response.status_mut() = status;
     response.headers_mut().insert("content-type", hyper::header::HeaderValue::from_static(kind));
     response
 }
 
 /// A body of one piece.
+pub(crate) fn one_piece(bytes: bytes::Bytes) -> Body {
+    Body::new(OneFrame(Some(bytes)))
+}
+
 struct OneFrame(Option<bytes::Bytes>);
 
 impl http_body::Body for OneFrame {

@@ -298,10 +298,11 @@ impl Metrics {
 
 /// A method as a label: those that there are, and one name for all others, so that nobody makes labels.
 fn method(path: &str) -> &'static str {
-    const KNOWN: [&str; 11] = [
+    const KNOWN: [&str; 12] = [
         "/graspd.v1.PlannerService/PlanGrasps",
         "/graspd.v1.PlannerService/StreamGrasps",
         "/graspd.v1.PlannerService/PlanMultiHand",
+        "/graspd.v1.PlannerService/ReadScene",
         "/graspd.v1.PlannerService/ReportOutcome",
         "/graspd.v1.ServoService/ServoGrasp",
         "/graspd.v1.HandService/ListHands",

@@ -23,6 +23,7 @@ use crate::engine::Engine;
 use crate::estimators::Estimators;
 use crate::jobs::JobEngine;
 use crate::local::start_engine;
+use crate::page::{Page, PageLayer, Site};
 use crate::pool::{PoolConfig, PoolError};
 use crate::recorder::{RecordConfig, Recorder};
 use crate::registry::{FolderError, HandStore, HandSync};
@@ -62,6 +63,8 @@ pub struct ServerConfig {
     pub limits: Limits,
     /// Address of `/metrics`, `/livez` and `/readyz`, over HTTP without encryption. Default none.
     pub metrics_listen: Option<SocketAddr>,
+    /// The page for browsers, at `/` of `listen`. Default none.
+    pub page: Option<Page>,
     /// The planning pool. Default: by the number of cores.
     pub pool: PoolConfig,
     /// A folder of hands to offer besides the library. Default none.
@@ -93,6 +96,7 @@ impl Default for ServerConfig {
             access: Access::default(),
             limits: Limits::default(),
             metrics_listen: None,
+            page: None,
             pool: PoolConfig::for_cores(cores),
             hands_dir: None,
             estimators: Estimators::default(),
@@ -306,6 +310,14 @@ impl Server {
             metrics: Arc::clone(&engine.metrics),
             tracer: engine.tracer.clone(),
         });
+        let site = config.page.map(|page| Site {
+            page,
+            engine: Arc::clone(&engine),
+            gatekeeper: Arc::clone(&gatekeeper),
+            is_encrypted: acceptor.is_some(),
+            header_bytes: config.limits.header_bytes,
+        });
+        let has_page = site.is_some();
         let watched = http.map(|listener| tokio::spawn(crate::http::serve(listener, Arc::clone(&engine))));
         let _watched = AbortOnDrop(watched);
         let router = tonic::transport::Server::builder()
@@ -316,6 +328,9 @@ impl Server {
             .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
             .http2_max_header_list_size(Some(config.limits.header_bytes))
             .http2_max_pending_accept_reset_streams(Some(STREAMS_PER_CONNECTION as usize))
+            // Browsers speak HTTP/1 where there is no TLS.
+            .accept_http1(has_page)
+            .layer(PageLayer(site.map(Arc::new)))
             .layer(CallLayer(gatekeeper))
             .add_service(health_service)
             .add_service(described().build_v1()?)
@@ -325,6 +340,7 @@ impl Server {
             .add_service(servo)
             .add_service(hands)
             .add_service(info);
+        let is_encrypted = acceptor.is_some();
         let watching = acceptor.clone().map(|acceptor| tokio::spawn(acceptor.watch()));
         let _watching = AbortOnDrop(watching);
         let incoming = accept(listener, acceptor, config.limits);
@@ -333,6 +349,10 @@ impl Server {
             stopped.await.ok();
         });
         tokio::pin!(serving);
+        if has_page {
+            let scheme = if is_encrypted { "https" } else { "http" };
+            tracing::info!("the page is at {scheme}://{local_addr}/");
+        }
         tracing::info!(%local_addr, hands = engine.registry.page(None, usize::MAX).0.len(), "serving");
         tokio::select! {
             ended = &mut serving => return Ok(ended?),

@@ -24,5 +24,6 @@ pub(crate) mod plan;
 pub(crate) mod recalibrate;
 pub(crate) mod replay;
 pub(crate) mod serve;
+pub(crate) mod shell;
 #[cfg(feature = "nats")]
 pub(crate) mod worker;

@@ -9,8 +9,9 @@ use std::time::Duration;
 use anyhow::Context as _;
 use clap::Args;
 use graspd_server::calibration::Calibration;
-use graspd_server::{RecordConfig, Server, ServerConfig, shutdown_signal};
+use graspd_server::{Example, Page, RecordConfig, Server, ServerConfig, shutdown_signal};
 
+use crate::demo_scene;
 use crate::estimators::EstimatorArgs;
 
 /// Serves grasps over gRPC until SIGINT or SIGTERM, then finishes what is running.
@@ -28,6 +29,12 @@ pub(crate) struct ServeArgs {
     /// Address of /metrics, /livez and /readyz
     #[arg(long, env = "GRASPD_METRICS_LISTEN", value_name = "ADDRESS:PORT")]
     metrics_listen: Option<SocketAddr>,
+    /// Show the page for browsers; without the flag it is shown at loopback addresses alone
+    #[arg(long, env = "GRASPD_PAGE", conflicts_with = "no_page")]
+    page: bool,
+    /// Show no page, and speak gRPC alone
+    #[arg(long, env = "GRASPD_NO_PAGE")]
+    no_page: bool,
     /// Largest message that is taken, MiB [default: 16]
     #[arg(long, env = "GRASPD_MAX_MESSAGE_MIB", value_parser = clap::value_parser!(u32).range(1..=1024))]
     max_message_mib: Option<u32>,
@@ -77,8 +84,8 @@ pub(crate) struct ServeArgs {
 impl ServeArgs {
     /// The file's settings, and over them those of flags and environment.
     pub(crate) fn config(&self) -> anyhow::Result<ServerConfig> {
-        let mut config = match &self.config {
-            None => ServerConfig::default(),
+        let (mut config, page) = match &self.config {
+            None => (ServerConfig::default(), None),
             Some(path) => {
                 let text = std::fs::read_to_string(path)
                     .with_context(|| format!("--config: {} cannot be read", path.display()))?;
@@ -106,6 +113,9 @@ impl ServeArgs {
         }
         config.listen = self.listen.unwrap_or(config.listen);
         config.insecure_listen |= self.insecure_listen;
+        let page = if self.page || self.no_page { Some(self.page) } else { page };
+        let has_page = page.unwrap_or_else(|| config.listen.ip().is_loopback());
+        config.page = has_page.then_some(PAGE);
         config.metrics_listen = self.metrics_listen.or(config.metrics_listen);
         config.hands_dir = self.hands_dir.clone().or(config.hands_dir);
         config.estimators = self.estimator.all()?;
@@ -130,6 +140,10 @@ impl ServeArgs {
         Ok(config)
     }
 }
+
+/// The page, with the frame that comes with graspd.
+const PAGE: Page =
+    Page { example: Some(Example::from_static(demo_scene::DEPTH_PNG, demo_scene::FRAME_JSON)) };
 
 /// A recording with the defaults.
 fn record_in(folder: PathBuf) -> RecordConfig {
@@ -236,6 +250,17 @@ mod tests {
         for wrong in ["", "MB", "1.2.3MB", "2 parsec", "-1", "1e9", "9999999TB"] {
             assert!(parse_size(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn the_page_is_shown_on_loopback_or_where_it_is_asked_for() {
+        let shown = |flags: &str| {
+            let all = ["serve"].into_iter().chain(flags.split_whitespace());
+            Only::try_parse_from(all).unwrap().serve.config().unwrap().page.is_some()
+        };
+        assert!(shown("") && shown("--listen [::1]:0") && !shown("--no-page"));
+        assert!(!shown("--listen 0.0.0.0:0") && shown("--listen 0.0.0.0:0 --page"));
+        assert!(Only::try_parse_from(["serve", "--page", "--no-page"]).is_err());
     }
 
     #[test]

@@ -175,7 +175,7 @@ fn objective_message(terms: &ObjectiveTerms) -> v1::ObjectiveTerms {
     }
 }
 
-fn workspace_message(workspace: &Workspace, world: &str) -> v1::Workspace {
+pub(super) fn workspace_message(workspace: &Workspace, world: &str) -> v1::Workspace {
     v1::Workspace {
         pose: Some(pose_message(world, &workspace.world_from_volume)),
         size_m: workspace.grid.size_m,
@@ -184,13 +184,12 @@ fn workspace_message(workspace: &Workspace, world: &str) -> v1::Workspace {
     }
 }
 
+pub(super) fn stage_message((name, duration): &(&'static str, Duration)) -> v1::StageDuration {
+    v1::StageDuration { name: (*name).to_owned(), duration: Some(duration_message(*duration)) }
+}
+
 fn stats_message(stats: &PlanStats, context: &PlanContext<'_>) -> v1::PlanStats {
-    let stages = (context.stages.iter().chain(&stats.stages))
-        .map(|&(name, duration)| v1::StageDuration {
-            name: name.to_owned(),
-            duration: Some(duration_message(duration)),
-        })
-        .collect();
+    let stages = context.stages.iter().chain(&stats.stages).map(stage_message).collect();
     let rejected_counts: HashMap<String, i32> =
         stats.rejected.iter().map(|(reason, &n)| (reason.as_str().to_owned(), count_message(n))).collect();
     v1::PlanStats {

@@ -1,8 +1,9 @@
 //! The shape of a hand on the wire.
 
-use graspd_hands::{CollisionShape, Hand, JointKind, Shape, Tree};
+use graspd_hands::{CollisionShape, Hand, JointKind, Pad, Shape, Tree};
 use graspd_proto::v1;
 use graspd_proto::v1::hand_shape;
+use nalgebra::Vector3;
 
 use super::count_message;
 use super::geometry::{bare_pose_message, vector_message};
@@ -23,7 +24,22 @@ pub(crate) fn geometry_message(hand: &Hand) -> v1::GetHandGeometryResponse {
             .collect(),
         visual_shapes: shapes(if hand.visuals.is_empty() { &hand.collision } else { &hand.visuals }),
         collision_shapes: shapes(&hand.collision),
+        pads: hand.pads.iter().filter_map(|pad| pad_message(tree, pad)).collect(),
     }
+}
+
+/// `None` for a pad of a link that there is not, which no validated hand has.
+fn pad_message(tree: &Tree, pad: &Pad) -> Option<v1::PadShape> {
+    let link = tree.links.get(pad.link)?;
+    let placed = |v: &Vector3<f64>| Some(vector_message(&(link.body_from_link.rotation * v)));
+    Some(v1::PadShape {
+        name: pad.name.clone(),
+        body: count_message(link.body),
+        center_m: Some(vector_message(&(link.body_from_link * pad.center).coords)),
+        half_u_m: placed(&pad.half_u),
+        half_v_m: placed(&pad.half_v),
+        normal: placed(&pad.normal),
+    })
 }
 
 fn body_message(tree: &Tree, body: &graspd_hands::Body) -> v1::HandBody {
@@ -112,6 +128,28 @@ mod tests {
                 let placed = geometry::pose(sent.body_from_shape.as_ref(), "body_from_shape").unwrap();
                 let expected = hand.tree.links[link].body_from_link * shape.link_from_shape;
                 assert!((placed.to_homogeneous() - expected.to_homogeneous()).norm() < 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn pads_are_where_the_hand_has_them() {
+        for id in library::ids() {
+            let hand = library::hand(id).unwrap();
+            let message = geometry_message(hand);
+            assert_eq!(message.pads.len(), hand.pads.len(), "{id}");
+            let joints: Vec<f64> = (hand.tree.joints.iter()).map(|j| 0.5 * (j.lower + j.upper)).collect();
+            let bodies = hand.tree.body_poses(&joints);
+            for (sent, pad) in message.pads.iter().zip(&hand.pads) {
+                let link = &hand.tree.links[pad.link];
+                let placed = bodies[link.body] * link.body_from_link;
+                let part = |v: Option<v1::Vector3>| geometry::vector(v, "pad").unwrap();
+                let body = bodies[usize::try_from(sent.body).unwrap()];
+                for (sign, corner) in [(-1.0, 0), (1.0, 2)] {
+                    let at = part(sent.center_m) + (part(sent.half_u_m) + part(sent.half_v_m)) * sign;
+                    assert!((body * Point3::from(at) - placed * pad.corners()[corner]).norm() < 1e-9, "{id}");
+                }
+                assert!((part(sent.normal).norm() - 1.0).abs() < 1e-9);
             }
         }
     }

@@ -11,6 +11,7 @@ mod hand;
 mod hand_geometry;
 mod options;
 mod request;
+mod scene;
 mod servo;
 
 pub(crate) use assignment::AssignmentJob;
@@ -18,7 +19,10 @@ pub(crate) use frame::EncodedFrame;
 pub(crate) use grasp::{PlanContext, out_of_time_response, plan_response};
 pub(crate) use hand::{hand_id, hand_message, hand_name};
 pub(crate) use hand_geometry::geometry_message;
-pub(crate) use request::{HandJob, HandJobs, Parsed, SceneRequest, multi_hand, plan_grasps, report_outcome};
+pub(crate) use request::{
+    HandJob, HandJobs, Parsed, SceneRequest, multi_hand, plan_grasps, read_scene, report_outcome,
+};
+pub(crate) use scene::{SceneContext, scene_response};
 pub(crate) use servo::{EncodedServoFrame, ServoWords, servo_answer, servo_config};
 
 use std::fmt::Display;

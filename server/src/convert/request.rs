@@ -261,6 +261,21 @@ pub(crate) fn multi_hand(wire: v1::PlanMultiHandRequest) -> Result<Parsed<HandJo
     Ok(Parsed { scene, jobs: HandJobs { jobs, assignment }, request_id })
 }
 
+/// Points of a frame that a caller may ask for.
+const MOST_POINTS: i32 = 1_000_000;
+
+/// A request for a scene alone, and how many points of each frame are asked for.
+pub(crate) fn read_scene(wire: v1::ReadSceneRequest) -> Result<(SceneRequest, usize), FieldError> {
+    let points = match usize::try_from(wire.max_point_count) {
+        Ok(points) if wire.max_point_count <= MOST_POINTS => points,
+        _ => {
+            let expected = format!("0 to {MOST_POINTS}");
+            return Err(FieldError::value("max_point_count", wire.max_point_count, expected));
+        }
+    };
+    Ok((SceneRequest::parse(wire.frames, wire.scene_options, "")?, points))
+}
+
 /// Longest note of an outcome, bytes.
 const LONGEST_NOTE: usize = 1024;
 

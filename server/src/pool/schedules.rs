@@ -3,6 +3,8 @@
 //!
 //! `cargo test -p graspd-server --features shuttle --lib schedules`; a failure prints a schedule that repeats it.
 
+#![cfg(feature = "shuttle")]
+
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use graspd_scheduler::Priority;

@@ -279,6 +279,7 @@ mod tests {
             ("/graspd.v1.PlannerService/PlanGrasps", Role::Controller),
             ("/graspd.v1.PlannerService/StreamGrasps", Role::Controller),
             ("/graspd.v1.PlannerService/PlanMultiHand", Role::Controller),
+            ("/graspd.v1.PlannerService/ReadScene", Role::Controller),
             ("/graspd.v1.ServoService/ServoGrasp", Role::Controller),
             ("/graspd.v1.Nothing/Nothing", Role::Operator),
             ("/", Role::Operator),

@@ -96,15 +96,20 @@ impl Drop for Counted {
 }
 
 impl Gatekeeper {
-    /// Who calls, if they may call this method, and their part of their quotas.
-    fn admit(&self, request: &Request<Body>, path: &str) -> Result<(Identity, Use), ServiceError> {
+    /// Who calls, if they said so where they have to.
+    pub(crate) fn identify(&self, request: &Request<Body>) -> Result<Identity, ServiceError> {
         let peer = request.extensions().get::<PeerInfo>();
         let credentials = Credentials {
             peer: peer.map(|p| p.addr),
             certificate: peer.and_then(|p| p.certificate),
             authorization: request.headers().get("authorization").map(|value| value.as_bytes()),
         };
-        let identity = self.access.identify(&credentials, self.access_required)?;
+        self.access.identify(&credentials, self.access_required)
+    }
+
+    /// Who calls, if they may call this method, and their part of their quotas.
+    fn admit(&self, request: &Request<Body>, path: &str) -> Result<(Identity, Use), ServiceError> {
+        let identity = self.identify(request)?;
         let needs = Role::of_method(path);
         if identity.role < needs {
             return Err(ServiceError::Forbidden {

@@ -4,6 +4,7 @@ mod hands;
 mod info;
 mod layer;
 mod planner;
+mod scene;
 mod servo;
 
 pub(crate) use hands::HandApi;

@@ -159,6 +159,14 @@ impl PlannerService for PlannerApi {
         Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
     }
 
+    async fn read_scene(
+        &self,
+        request: Request<v1::ReadSceneRequest>,
+    ) -> Result<Response<v1::ReadSceneResponse>, Status> {
+        let (clock, caller) = (clock(request.extensions()), caller(request.extensions()));
+        Ok(Response::new(super::scene::read(&self.engine, clock, &caller, request.into_inner()).await?))
+    }
+
     async fn report_outcome(
         &self,
         request: Request<v1::ReportOutcomeRequest>,

@@ -9,6 +9,7 @@ mod deadlines;
 mod frames;
 mod hands;
 mod lifecycle;
+mod page;
 mod planning;
 mod python;
 mod recording;

@@ -16,6 +16,7 @@ struct File {
     listen: Option<SocketAddr>,
     insecure_listen: Option<bool>,
     metrics_listen: Option<SocketAddr>,
+    page: Option<bool>,
     hands_dir: Option<PathBuf>,
     calibration: Option<PathBuf>,
     otlp: Option<String>,
@@ -83,11 +84,11 @@ struct Entry {
     most_urgent: Option<String>,
 }
 
-/// Reads the settings.
+/// Reads the settings, and whether the page is shown, where the file says so.
 ///
 /// # Errors
 /// Naming the key, what was found and what was expected.
-pub(super) fn parse(text: &str) -> anyhow::Result<ServerConfig> {
+pub(super) fn parse(text: &str) -> anyhow::Result<(ServerConfig, Option<bool>)> {
     let file: File = toml::from_str(text)?;
     let mut config = ServerConfig::default();
     if let Some(listen) = file.listen {
@@ -146,7 +147,7 @@ pub(super) fn parse(text: &str) -> anyhow::Result<ServerConfig> {
         config.access.certificates.push(Certificate { name: given.name, sha256, role });
     }
     config.access.check()?;
-    Ok(config)
+    Ok((config, file.page))
 }
 
 fn record(file: RecordTable) -> anyhow::Result<RecordConfig> {
@@ -226,10 +227,12 @@ mod tests {
 
     #[test]
     fn the_example_is_read_and_nothing_is_the_default() {
-        let config = parse(EXAMPLE).unwrap();
+        let (config, page) = parse(EXAMPLE).unwrap();
+        assert_eq!(page, None);
         assert_eq!((config.pool.queue, config.access.tokens.len()), (32, 2));
         assert!(config.tls.unwrap().client_roots.is_none());
-        let nothing = parse("").unwrap();
+        let (nothing, _) = parse("").unwrap();
+        assert_eq!(parse("page = false").unwrap().1, Some(false));
         let default = ServerConfig::default();
         assert_eq!((nothing.limits, nothing.pool), (default.limits, default.pool));
         assert_eq!((nothing.listen, nothing.max_message_bytes), (default.listen, default.max_message_bytes));

@@ -26,17 +26,17 @@ from google.protobuf import timestamp_pb2 as google_dot_protobuf_dot_timestamp__
 from graspd.v1 import geometry_pb2 as graspd_dot_v1_dot_geometry__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1cgraspd/v1/hand_service.proto\x12\tgraspd.v1\x1a\x1fgoogle/protobuf/timestamp.proto\x1a\x18graspd/v1/geometry.proto\"\xf1\x03\n\x04Hand\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12\x10\n\x08revision\x18\x03 \x01(\t\x12%\n\x06origin\x18\x04 \x01(\x0e\x32\x15.graspd.v1.HandOrigin\x12/\n\x0b\x63reate_time\x18\x05 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x12\n\nwrist_link\x18\x06 \x01(\t\x12$\n\x08\x61pproach\x18\x07 \x01(\x0b\x32\x12.graspd.v1.Vector3\x12&\n\ntool_point\x18\x08 \x01(\x0b\x32\x12.graspd.v1.Vector3\x12 \n\x06joints\x18\t \x03(\x0b\x32\x10.graspd.v1.Joint\x12&\n\tactuators\x18\n \x03(\x0b\x32\x13.graspd.v1.Actuator\x12\x0f\n\x07\x66ingers\x18\x0b \x03(\t\x12\x1c\n\x04pads\x18\x0c \x03(\x0b\x32\x0e.graspd.v1.Pad\x12\x1f\n\x17\x63ontact_candidate_count\x18\r \x01(\x05\x12#\n\x07opening\x18\x0e \x01(\x0b\x32\x12.graspd.v1.Opening\x12\x10\n\x08warnings\x18\x0f \x03(\t\x12(\n\x0clateral_axis\x18\x10 \x01(\x0b\x32\x12.graspd.v1.Vector3\"y\n\x05Joint\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\"\n\x04type\x18\x02 \x01(\x0e\x32\x14.graspd.v1.JointType\x12\x14\n\x0cmin_position\x18\x03 \x01(\x01\x12\x14\n\x0cmax_position\x18\x04 \x01(\x01\x12\x12\n\nmax_effort\x18\x05 \x01(\x01\"\x88\x01\n\x08\x41\x63tuator\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x14\n\x0cmin_position\x18\x02 \x01(\x01\x12\x14\n\x0cmax_position\x18\x03 \x01(\x01\x12\x15\n\ropen_position\x18\x04 \x01(\x01\x12\x17\n\x0f\x63losed_position\x18\x05 \x01(\x01\x12\x12\n\nmax_effort\x18\x06 \x01(\x01\"1\n\x03Pad\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06\x66inger\x18\x02 \x01(\t\x12\x0c\n\x04link\x18\x03 \x01(\t\"\'\n\x07Opening\x12\r\n\x05min_m\x18\x01 \x01(\x01\x12\r\n\x05max_m\x18\x02 \x01(\x01\"9\n\x10ListHandsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\x05\x12\x12\n\npage_token\x18\x02 \x01(\t\"L\n\x11ListHandsResponse\x12\x1e\n\x05hands\x18\x01 \x03(\x0b\x32\x0f.graspd.v1.Hand\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"\x1e\n\x0eGetHandRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"0\n\x0fGetHandResponse\x12\x1d\n\x04hand\x18\x01 \x01(\x0b\x32\x0f.graspd.v1.Hand\"&\n\x16GetHandGeometryRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\xd1\x01\n\x17GetHandGeometryResponse\x12\x10\n\x08revision\x18\x01 \x01(\t\x12#\n\x06\x62odies\x18\x02 \x03(\x0b\x32\x13.graspd.v1.HandBody\x12\"\n\x05links\x18\x03 \x03(\x0b\x32\x13.graspd.v1.HandLink\x12+\n\rvisual_shapes\x18\x04 \x03(\x0b\x32\x14.graspd.v1.HandShape\x12.\n\x10\x63ollision_shapes\x18\x05 \x03(\x0b\x32\x14.graspd.v1.HandShape\"\xb1\x01\n\x08HandBody\x12\x13\n\x06parent\x18\x01 \x01(\x05H\x00\x88\x01\x01\x12\r\n\x05joint\x18\x02 \x01(\t\x12(\n\njoint_type\x18\x03 \x01(\x0e\x32\x14.graspd.v1.JointType\x12 \n\x04\x61xis\x18\x04 \x01(\x0b\x32\x12.graspd.v1.Vector3\x12*\n\x11parent_from_joint\x18\x05 \x01(\x0b\x32\x0f.graspd.v1.PoseB\t\n\x07_parent\"O\n\x08HandLink\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04\x62ody\x18\x02 \x01(\x05\x12\'\n\x0e\x62ody_from_link\x18\x03 \x01(\x0b\x32\x0f.graspd.v1.Pose\"\xfc\x01\n\tHandShape\x12\x0c\n\x04link\x18\x01 \x01(\t\x12\x0c\n\x04\x62ody\x18\x02 \x01(\x05\x12(\n\x0f\x62ody_from_shape\x18\x03 \x01(\x0b\x32\x0f.graspd.v1.Pose\x12\"\n\x03\x62ox\x18\x04 \x01(\x0b\x32\x13.graspd.v1.BoxShapeH\x00\x12,\n\x08\x63ylinder\x18\x05 \x01(\x0b\x32\x18.graspd.v1.CylinderShapeH\x00\x12(\n\x06sphere\x18\x06 \x01(\x0b\x32\x16.graspd.v1.SphereShapeH\x00\x12$\n\x04mesh\x18\x07 \x01(\x0b\x32\x14.graspd.v1.MeshShapeH\x00\x42\x07\n\x05shape\"6\n\x08\x42oxShape\x12*\n\x0ehalf_extents_m\x18\x01 \x01(\x0b\x32\x12.graspd.v1.Vector3\"8\n\rCylinderShape\x12\x10\n\x08radius_m\x18\x01 \x01(\x01\x12\x15\n\rhalf_length_m\x18\x02 \x01(\x01\"\x1f\n\x0bSphereShape\x12\x10\n\x08radius_m\x18\x01 \x01(\x01\"2\n\tMeshShape\x12\x12\n\nvertices_m\x18\x01 \x03(\x02\x12\x11\n\ttriangles\x18\x02 \x03(\r\"q\n\x11\x43reateHandRequest\x12-\n\x06header\x18\x01 \x01(\x0b\x32\x1b.graspd.v1.CreateHandHeaderH\x00\x12%\n\x05\x63hunk\x18\x02 \x01(\x0b\x32\x14.graspd.v1.FileChunkH\x00\x42\x06\n\x04part\"N\n\x10\x43reateHandHeader\x12\x0f\n\x07hand_id\x18\x01 \x01(\t\x12\x15\n\rvalidate_only\x18\x02 \x01(\x08\x12\x12\n\nrequest_id\x18\x14 \x01(\t\"\'\n\tFileChunk\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x02 \x01(\x0c\"O\n\x12\x43reateHandResponse\x12\x1d\n\x04hand\x18\x01 \x01(\x0b\x32\x0f.graspd.v1.Hand\x12\x1a\n\x12proposed_hand_toml\x18\x02 \x01(\t\"!\n\x11\x44\x65leteHandRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x14\n\x12\x44\x65leteHandResponse*Z\n\tJointType\x12\x1a\n\x16JOINT_TYPE_UNSPECIFIED\x10\x00\x12\x17\n\x13JOINT_TYPE_REVOLUTE\x10\x01\x12\x18\n\x14JOINT_TYPE_PRISMATIC\x10\x02*s\n\nHandOrigin\x12\x1b\n\x17HAND_ORIGIN_UNSPECIFIED\x10\x00\x12\x17\n\x13HAND_ORIGIN_LIBRARY\x10\x01\x12\x16\n\x12HAND_ORIGIN_FOLDER\x10\x02\x12\x17\n\x13HAND_ORIGIN_CREATED\x10\x03\x32\x89\x03\n\x0bHandService\x12\x46\n\tListHands\x12\x1b.graspd.v1.ListHandsRequest\x1a\x1c.graspd.v1.ListHandsResponse\x12@\n\x07GetHand\x12\x19.graspd.v1.GetHandRequest\x1a\x1a.graspd.v1.GetHandResponse\x12X\n\x0fGetHandGeometry\x12!.graspd.v1.GetHandGeometryRequest\x1a\".graspd.v1.GetHandGeometryResponse\x12K\n\nCreateHand\x12\x1c.graspd.v1.CreateHandRequest\x1a\x1d.graspd.v1.CreateHandResponse(\x01\x12I\n\nDeleteHand\x12\x1c.graspd.v1.DeleteHandRequest\x1a\x1d.graspd.v1.DeleteHandResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1cgraspd/v1/hand_service.proto\x12\tgraspd.v1\x1a\x1fgoogle/protobuf/timestamp.proto\x1a\x18graspd/v1/geometry.proto\"\xf1\x03\n\x04Hand\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12\x10\n\x08revision\x18\x03 \x01(\t\x12%\n\x06origin\x18\x04 \x01(\x0e\x32\x15.graspd.v1.HandOrigin\x12/\n\x0b\x63reate_time\x18\x05 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x12\n\nwrist_link\x18\x06 \x01(\t\x12$\n\x08\x61pproach\x18\x07 \x01(\x0b\x32\x12.graspd.v1.Vector3\x12&\n\ntool_point\x18\x08 \x01(\x0b\x32\x12.graspd.v1.Vector3\x12 \n\x06joints\x18\t \x03(\x0b\x32\x10.graspd.v1.Joint\x12&\n\tactuators\x18\n \x03(\x0b\x32\x13.graspd.v1.Actuator\x12\x0f\n\x07\x66ingers\x18\x0b \x03(\t\x12\x1c\n\x04pads\x18\x0c \x03(\x0b\x32\x0e.graspd.v1.Pad\x12\x1f\n\x17\x63ontact_candidate_count\x18\r \x01(\x05\x12#\n\x07opening\x18\x0e \x01(\x0b\x32\x12.graspd.v1.Opening\x12\x10\n\x08warnings\x18\x0f \x03(\t\x12(\n\x0clateral_axis\x18\x10 \x01(\x0b\x32\x12.graspd.v1.Vector3\"y\n\x05Joint\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\"\n\x04type\x18\x02 \x01(\x0e\x32\x14.graspd.v1.JointType\x12\x14\n\x0cmin_position\x18\x03 \x01(\x01\x12\x14\n\x0cmax_position\x18\x04 \x01(\x01\x12\x12\n\nmax_effort\x18\x05 \x01(\x01\"\x88\x01\n\x08\x41\x63tuator\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x14\n\x0cmin_position\x18\x02 \x01(\x01\x12\x14\n\x0cmax_position\x18\x03 \x01(\x01\x12\x15\n\ropen_position\x18\x04 \x01(\x01\x12\x17\n\x0f\x63losed_position\x18\x05 \x01(\x01\x12\x12\n\nmax_effort\x18\x06 \x01(\x01\"1\n\x03Pad\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06\x66inger\x18\x02 \x01(\t\x12\x0c\n\x04link\x18\x03 \x01(\t\"\'\n\x07Opening\x12\r\n\x05min_m\x18\x01 \x01(\x01\x12\r\n\x05max_m\x18\x02 \x01(\x01\"9\n\x10ListHandsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\x05\x12\x12\n\npage_token\x18\x02 \x01(\t\"L\n\x11ListHandsResponse\x12\x1e\n\x05hands\x18\x01 \x03(\x0b\x32\x0f.graspd.v1.Hand\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"\x1e\n\x0eGetHandRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"0\n\x0fGetHandResponse\x12\x1d\n\x04hand\x18\x01 \x01(\x0b\x32\x0f.graspd.v1.Hand\"&\n\x16GetHandGeometryRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\xf4\x01\n\x17GetHandGeometryResponse\x12\x10\n\x08revision\x18\x01 \x01(\t\x12#\n\x06\x62odies\x18\x02 \x03(\x0b\x32\x13.graspd.v1.HandBody\x12\"\n\x05links\x18\x03 \x03(\x0b\x32\x13.graspd.v1.HandLink\x12+\n\rvisual_shapes\x18\x04 \x03(\x0b\x32\x14.graspd.v1.HandShape\x12.\n\x10\x63ollision_shapes\x18\x05 \x03(\x0b\x32\x14.graspd.v1.HandShape\x12!\n\x04pads\x18\x14 \x03(\x0b\x32\x13.graspd.v1.PadShape\"\xbc\x01\n\x08PadShape\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04\x62ody\x18\x02 \x01(\x05\x12$\n\x08\x63\x65nter_m\x18\x03 \x01(\x0b\x32\x12.graspd.v1.Vector3\x12$\n\x08half_u_m\x18\x04 \x01(\x0b\x32\x12.graspd.v1.Vector3\x12$\n\x08half_v_m\x18\x05 \x01(\x0b\x32\x12.graspd.v1.Vector3\x12\"\n\x06normal\x18\x06 \x01(\x0b\x32\x12.graspd.v1.Vector3\"\xb1\x01\n\x08HandBody\x12\x13\n\x06parent\x18\x01 \x01(\x05H\x00\x88\x01\x01\x12\r\n\x05joint\x18\x02 \x01(\t\x12(\n\njoint_type\x18\x03 \x01(\x0e\x32\x14.graspd.v1.JointType\x12 \n\x04\x61xis\x18\x04 \x01(\x0b\x32\x12.graspd.v1.Vector3\x12*\n\x11parent_from_joint\x18\x05 \x01(\x0b\x32\x0f.graspd.v1.PoseB\t\n\x07_parent\"O\n\x08HandLink\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04\x62ody\x18\x02 \x01(\x05\x12\'\n\x0e\x62ody_from_link\x18\x03 \x01(\x0b\x32\x0f.graspd.v1.Pose\"\xfc\x01\n\tHandShape\x12\x0c\n\x04link\x18\x01 \x01(\t\x12\x0c\n\x04\x62ody\x18\x02 \x01(\x05\x12(\n\x0f\x62ody_from_shape\x18\x03 \x01(\x0b\x32\x0f.graspd.v1.Pose\x12\"\n\x03\x62ox\x18\x04 \x01(\x0b\x32\x13.graspd.v1.BoxShapeH\x00\x12,\n\x08\x63ylinder\x18\x05 \x01(\x0b\x32\x18.graspd.v1.CylinderShapeH\x00\x12(\n\x06sphere\x18\x06 \x01(\x0b\x32\x16.graspd.v1.SphereShapeH\x00\x12$\n\x04mesh\x18\x07 \x01(\x0b\x32\x14.graspd.v1.MeshShapeH\x00\x42\x07\n\x05shape\"6\n\x08\x42oxShape\x12*\n\x0ehalf_extents_m\x18\x01 \x01(\x0b\x32\x12.graspd.v1.Vector3\"8\n\rCylinderShape\x12\x10\n\x08radius_m\x18\x01 \x01(\x01\x12\x15\n\rhalf_length_m\x18\x02 \x01(\x01\"\x1f\n\x0bSphereShape\x12\x10\n\x08radius_m\x18\x01 \x01(\x01\"2\n\tMeshShape\x12\x12\n\nvertices_m\x18\x01 \x03(\x02\x12\x11\n\ttriangles\x18\x02 \x03(\r\"q\n\x11\x43reateHandRequest\x12-\n\x06header\x18\x01 \x01(\x0b\x32\x1b.graspd.v1.CreateHandHeaderH\x00\x12%\n\x05\x63hunk\x18\x02 \x01(\x0b\x32\x14.graspd.v1.FileChunkH\x00\x42\x06\n\x04part\"N\n\x10\x43reateHandHeader\x12\x0f\n\x07hand_id\x18\x01 \x01(\t\x12\x15\n\rvalidate_only\x18\x02 \x01(\x08\x12\x12\n\nrequest_id\x18\x14 \x01(\t\"\'\n\tFileChunk\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x02 \x01(\x0c\"O\n\x12\x43reateHandResponse\x12\x1d\n\x04hand\x18\x01 \x01(\x0b\x32\x0f.graspd.v1.Hand\x12\x1a\n\x12proposed_hand_toml\x18\x02 \x01(\t\"!\n\x11\x44\x65leteHandRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x14\n\x12\x44\x65leteHandResponse*Z\n\tJointType\x12\x1a\n\x16JOINT_TYPE_UNSPECIFIED\x10\x00\x12\x17\n\x13JOINT_TYPE_REVOLUTE\x10\x01\x12\x18\n\x14JOINT_TYPE_PRISMATIC\x10\x02*s\n\nHandOrigin\x12\x1b\n\x17HAND_ORIGIN_UNSPECIFIED\x10\x00\x12\x17\n\x13HAND_ORIGIN_LIBRARY\x10\x01\x12\x16\n\x12HAND_ORIGIN_FOLDER\x10\x02\x12\x17\n\x13HAND_ORIGIN_CREATED\x10\x03\x32\x89\x03\n\x0bHandService\x12\x46\n\tListHands\x12\x1b.graspd.v1.ListHandsRequest\x1a\x1c.graspd.v1.ListHandsResponse\x12@\n\x07GetHand\x12\x19.graspd.v1.GetHandRequest\x1a\x1a.graspd.v1.GetHandResponse\x12X\n\x0fGetHandGeometry\x12!.graspd.v1.GetHandGeometryRequest\x1a\".graspd.v1.GetHandGeometryResponse\x12K\n\nCreateHand\x12\x1c.graspd.v1.CreateHandRequest\x1a\x1d.graspd.v1.CreateHandResponse(\x01\x12I\n\nDeleteHand\x12\x1c.graspd.v1.DeleteHandRequest\x1a\x1d.graspd.v1.DeleteHandResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'graspd.v1.hand_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_JOINTTYPE']._serialized_start=2516
-  _globals['_JOINTTYPE']._serialized_end=2606
-  _globals['_HANDORIGIN']._serialized_start=2608
-  _globals['_HANDORIGIN']._serialized_end=2723
+  _globals['_JOINTTYPE']._serialized_start=2742
+  _globals['_JOINTTYPE']._serialized_end=2832
+  _globals['_HANDORIGIN']._serialized_start=2834
+  _globals['_HANDORIGIN']._serialized_end=2949
   _globals['_HAND']._serialized_start=103
   _globals['_HAND']._serialized_end=600
   _globals['_JOINT']._serialized_start=602
@@ -58,33 +58,35 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_GETHANDGEOMETRYREQUEST']._serialized_start=1175
   _globals['_GETHANDGEOMETRYREQUEST']._serialized_end=1213
   _globals['_GETHANDGEOMETRYRESPONSE']._serialized_start=1216
-  _globals['_GETHANDGEOMETRYRESPONSE']._serialized_end=1425
-  _globals['_HANDBODY']._serialized_start=1428
-  _globals['_HANDBODY']._serialized_end=1605
-  _globals['_HANDLINK']._serialized_start=1607
-  _globals['_HANDLINK']._serialized_end=1686
-  _globals['_HANDSHAPE']._serialized_start=1689
-  _globals['_HANDSHAPE']._serialized_end=1941
-  _globals['_BOXSHAPE']._serialized_start=1943
-  _globals['_BOXSHAPE']._serialized_end=1997
-  _globals['_CYLINDERSHAPE']._serialized_start=1999
-  _globals['_CYLINDERSHAPE']._serialized_end=2055
-  _globals['_SPHERESHAPE']._serialized_start=2057
-  _globals['_SPHERESHAPE']._serialized_end=2088
-  _globals['_MESHSHAPE']._serialized_start=2090
-  _globals['_MESHSHAPE']._serialized_end=2140
-  _globals['_CREATEHANDREQUEST']._serialized_start=2142
-  _globals['_CREATEHANDREQUEST']._serialized_end=2255
-  _globals['_CREATEHANDHEADER']._serialized_start=2257
-  _globals['_CREATEHANDHEADER']._serialized_end=2335
-  _globals['_FILECHUNK']._serialized_start=2337
-  _globals['_FILECHUNK']._serialized_end=2376
-  _globals['_CREATEHANDRESPONSE']._serialized_start=2378
-  _globals['_CREATEHANDRESPONSE']._serialized_end=2457
-  _globals['_DELETEHANDREQUEST']._serialized_start=2459
-  _globals['_DELETEHANDREQUEST']._serialized_end=2492
-  _globals['_DELETEHANDRESPONSE']._serialized_start=2494
-  _globals['_DELETEHANDRESPONSE']._serialized_end=2514
-  _globals['_HANDSERVICE']._serialized_start=2726
-  _globals['_HANDSERVICE']._serialized_end=3119
+  _globals['_GETHANDGEOMETRYRESPONSE']._serialized_end=1460
+  _globals['_PADSHAPE']._serialized_start=1463
+  _globals['_PADSHAPE']._serialized_end=1651
+  _globals['_HANDBODY']._serialized_start=1654
+  _globals['_HANDBODY']._serialized_end=1831
+  _globals['_HANDLINK']._serialized_start=1833
+  _globals['_HANDLINK']._serialized_end=1912
+  _globals['_HANDSHAPE']._serialized_start=1915
+  _globals['_HANDSHAPE']._serialized_end=2167
+  _globals['_BOXSHAPE']._serialized_start=2169
+  _globals['_BOXSHAPE']._serialized_end=2223
+  _globals['_CYLINDERSHAPE']._serialized_start=2225
+  _globals['_CYLINDERSHAPE']._serialized_end=2281
+  _globals['_SPHERESHAPE']._serialized_start=2283
+  _globals['_SPHERESHAPE']._serialized_end=2314
+  _globals['_MESHSHAPE']._serialized_start=2316
+  _globals['_MESHSHAPE']._serialized_end=2366
+  _globals['_CREATEHANDREQUEST']._serialized_start=2368
+  _globals['_CREATEHANDREQUEST']._serialized_end=2481
+  _globals['_CREATEHANDHEADER']._serialized_start=2483
+  _globals['_CREATEHANDHEADER']._serialized_end=2561
+  _globals['_FILECHUNK']._serialized_start=2563
+  _globals['_FILECHUNK']._serialized_end=2602
+  _globals['_CREATEHANDRESPONSE']._serialized_start=2604
+  _globals['_CREATEHANDRESPONSE']._serialized_end=2683
+  _globals['_DELETEHANDREQUEST']._serialized_start=2685
+  _globals['_DELETEHANDREQUEST']._serialized_end=2718
+  _globals['_DELETEHANDRESPONSE']._serialized_start=2720
+  _globals['_DELETEHANDRESPONSE']._serialized_end=2740
+  _globals['_HANDSERVICE']._serialized_start=2952
+  _globals['_HANDSERVICE']._serialized_end=3345
 # @@protoc_insertion_point(module_scope)

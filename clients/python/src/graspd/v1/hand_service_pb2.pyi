@@ -444,6 +444,7 @@ class GetHandGeometryResponse(_message.Message):
     LINKS_FIELD_NUMBER: _builtins.int
     VISUAL_SHAPES_FIELD_NUMBER: _builtins.int
     COLLISION_SHAPES_FIELD_NUMBER: _builtins.int
+    PADS_FIELD_NUMBER: _builtins.int
     revision: _builtins.str
     """Hand.revision that this geometry belongs to."""
     @_builtins.property
@@ -462,6 +463,10 @@ class GetHandGeometryResponse(_message.Message):
     def collision_shapes(self) -> _containers.RepeatedCompositeFieldContainer[Global___HandShape]:
         """What the planner keeps out of collision."""
 
+    @_builtins.property
+    def pads(self) -> _containers.RepeatedCompositeFieldContainer[Global___PadShape]:
+        """Where the pads of Hand.pads are, in the same order."""
+
     def __init__(
         self,
         *,
@@ -470,14 +475,65 @@ class GetHandGeometryResponse(_message.Message):
         links: _abc.Iterable[Global___HandLink] | None = ...,
         visual_shapes: _abc.Iterable[Global___HandShape] | None = ...,
         collision_shapes: _abc.Iterable[Global___HandShape] | None = ...,
+        pads: _abc.Iterable[Global___PadShape] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["bodies", b"bodies", "collision_shapes", b"collision_shapes", "links", b"links", "revision", b"revision", "visual_shapes", b"visual_shapes"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["bodies", b"bodies", "collision_shapes", b"collision_shapes", "links", b"links", "pads", b"pads", "revision", b"revision", "visual_shapes", b"visual_shapes"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___GetHandGeometryResponse: _TypeAlias = GetHandGeometryResponse  # noqa: Y015
+
+@_typing.final
+class PadShape(_message.Message):
+    """Where a pad is: a flat patch on a finger. Its corners are center + half_u + half_v, center + half_u - half_v and so on."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NAME_FIELD_NUMBER: _builtins.int
+    BODY_FIELD_NUMBER: _builtins.int
+    CENTER_M_FIELD_NUMBER: _builtins.int
+    HALF_U_M_FIELD_NUMBER: _builtins.int
+    HALF_V_M_FIELD_NUMBER: _builtins.int
+    NORMAL_FIELD_NUMBER: _builtins.int
+    name: _builtins.str
+    """Pad.name."""
+    body: _builtins.int
+    """Index of the body that carries it."""
+    @_builtins.property
+    def center_m(self) -> _geometry_pb2.Vector3:
+        """Middle, metres, in the body's frame."""
+
+    @_builtins.property
+    def half_u_m(self) -> _geometry_pb2.Vector3:
+        """Half of one edge, metres, in the body's frame."""
+
+    @_builtins.property
+    def half_v_m(self) -> _geometry_pb2.Vector3:
+        """Half of the other edge, metres, in the body's frame."""
+
+    @_builtins.property
+    def normal(self) -> _geometry_pb2.Vector3:
+        """From the finger towards the object, unit length, in the body's frame."""
+
+    def __init__(
+        self,
+        *,
+        name: _builtins.str = ...,
+        body: _builtins.int = ...,
+        center_m: _geometry_pb2.Vector3 | None = ...,
+        half_u_m: _geometry_pb2.Vector3 | None = ...,
+        half_v_m: _geometry_pb2.Vector3 | None = ...,
+        normal: _geometry_pb2.Vector3 | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["center_m", b"center_m", "half_u_m", b"half_u_m", "half_v_m", b"half_v_m", "normal", b"normal"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["body", b"body", "center_m", b"center_m", "half_u_m", b"half_u_m", "half_v_m", b"half_v_m", "name", b"name", "normal", b"normal"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___PadShape: _TypeAlias = PadShape  # noqa: Y015
 
 @_typing.final
 class HandBody(_message.Message):

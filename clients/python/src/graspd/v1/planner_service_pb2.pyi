@@ -625,3 +625,165 @@ class ReportOutcomeResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___ReportOutcomeResponse: _TypeAlias = ReportOutcomeResponse  # noqa: Y015
+
+@_typing.final
+class ReadSceneRequest(_message.Message):
+    """Request of ReadScene."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    FRAMES_FIELD_NUMBER: _builtins.int
+    SCENE_OPTIONS_FIELD_NUMBER: _builtins.int
+    MAX_POINT_COUNT_FIELD_NUMBER: _builtins.int
+    max_point_count: _builtins.int
+    """Points of each frame that are sent at most, by leaving out rows and columns evenly; 0 to 1000000. 0: none."""
+    @_builtins.property
+    def frames(self) -> _containers.RepeatedCompositeFieldContainer[_frame_pb2.DepthFrame]:
+        """The scene: 1 to 16 frames of one moment. Required."""
+
+    @_builtins.property
+    def scene_options(self) -> _options_pb2.SceneOptions:
+        """How the scene is read."""
+
+    def __init__(
+        self,
+        *,
+        frames: _abc.Iterable[_frame_pb2.DepthFrame] | None = ...,
+        scene_options: _options_pb2.SceneOptions | None = ...,
+        max_point_count: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["scene_options", b"scene_options"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "max_point_count", b"max_point_count", "scene_options", b"scene_options"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ReadSceneRequest: _TypeAlias = ReadSceneRequest  # noqa: Y015
+
+@_typing.final
+class ReadSceneResponse(_message.Message):
+    """Response of ReadScene."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    WORKSPACE_FIELD_NUMBER: _builtins.int
+    CONTACT_FIELD_FIELD_NUMBER: _builtins.int
+    POINTS_FIELD_NUMBER: _builtins.int
+    STAGES_FIELD_NUMBER: _builtins.int
+    ESTIMATOR_FIELD_NUMBER: _builtins.int
+    estimator: _builtins.str
+    """Contact estimator that was used."""
+    @_builtins.property
+    def workspace(self) -> _grasp_pb2.Workspace:
+        """The volume that was looked at."""
+
+    @_builtins.property
+    def contact_field(self) -> Global___ContactField:
+        """Where grasps are looked for."""
+
+    @_builtins.property
+    def points(self) -> _containers.RepeatedCompositeFieldContainer[Global___FramePoints]:
+        """What each frame saw, in the order of the frames; empty where no points were asked for."""
+
+    @_builtins.property
+    def stages(self) -> _containers.RepeatedCompositeFieldContainer[_grasp_pb2.StageDuration]:
+        """How long the stages took."""
+
+    def __init__(
+        self,
+        *,
+        workspace: _grasp_pb2.Workspace | None = ...,
+        contact_field: Global___ContactField | None = ...,
+        points: _abc.Iterable[Global___FramePoints] | None = ...,
+        stages: _abc.Iterable[_grasp_pb2.StageDuration] | None = ...,
+        estimator: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["contact_field", b"contact_field", "workspace", b"workspace"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["contact_field", b"contact_field", "estimator", b"estimator", "points", b"points", "stages", b"stages", "workspace", b"workspace"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ReadSceneResponse: _TypeAlias = ReadSceneResponse  # noqa: Y015
+
+@_typing.final
+class ContactField(_message.Message):
+    """The part of the contact field that the search reads: focal contacts and centred centroids (Supplementary Note 3).
+    Entry i of each list belongs to entry i of the others; of coordinates, three belong together.
+    """
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CONTACTS_M_FIELD_NUMBER: _builtins.int
+    INWARD_FIELD_NUMBER: _builtins.int
+    CERTAINTIES_FIELD_NUMBER: _builtins.int
+    CENTROIDS_M_FIELD_NUMBER: _builtins.int
+    CENTROID_WEIGHTS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def contacts_m(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """Focal contacts: x, y, z of the first voxel's centre, then of the next; metres, world frame."""
+
+    @_builtins.property
+    def inward(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """Direction of a finger into the object at each focal contact: x, y, z, unit length, world frame."""
+
+    @_builtins.property
+    def certainties(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """Certainty of each focal contact, 0 to 1."""
+
+    @_builtins.property
+    def centroids_m(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """Centred centroids: x, y, z, metres, world frame."""
+
+    @_builtins.property
+    def centroid_weights(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """Weight of each centroid."""
+
+    def __init__(
+        self,
+        *,
+        contacts_m: _abc.Iterable[_builtins.float] | None = ...,
+        inward: _abc.Iterable[_builtins.float] | None = ...,
+        certainties: _abc.Iterable[_builtins.float] | None = ...,
+        centroids_m: _abc.Iterable[_builtins.float] | None = ...,
+        centroid_weights: _abc.Iterable[_builtins.float] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["centroid_weights", b"centroid_weights", "centroids_m", b"centroids_m", "certainties", b"certainties", "contacts_m", b"contacts_m", "inward", b"inward"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ContactField: _TypeAlias = ContactField  # noqa: Y015
+
+@_typing.final
+class FramePoints(_message.Message):
+    """The points of a depth image in its rows and columns."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    WIDTH_FIELD_NUMBER: _builtins.int
+    HEIGHT_FIELD_NUMBER: _builtins.int
+    POINTS_M_FIELD_NUMBER: _builtins.int
+    width: _builtins.int
+    """Points in a row."""
+    height: _builtins.int
+    """Rows."""
+    @_builtins.property
+    def points_m(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """x, y, z of the first point of the first row, then of the next; metres, world frame. NaN where there is no return."""
+
+    def __init__(
+        self,
+        *,
+        width: _builtins.int = ...,
+        height: _builtins.int = ...,
+        points_m: _abc.Iterable[_builtins.float] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["height", b"height", "points_m", b"points_m", "width", b"width"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___FramePoints: _TypeAlias = FramePoints  # noqa: Y015

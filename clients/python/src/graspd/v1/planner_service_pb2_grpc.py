@@ -60,6 +60,11 @@ class PlannerServiceStub(object):
                 request_serializer=graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandRequest.SerializeToString,
                 response_deserializer=graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandResponse.FromString,
                 _registered_method=True)
+        self.ReadScene = channel.unary_unary(
+                '/graspd.v1.PlannerService/ReadScene',
+                request_serializer=graspd_dot_v1_dot_planner__service__pb2.ReadSceneRequest.SerializeToString,
+                response_deserializer=graspd_dot_v1_dot_planner__service__pb2.ReadSceneResponse.FromString,
+                _registered_method=True)
         self.ReportOutcome = channel.unary_unary(
                 '/graspd.v1.PlannerService/ReportOutcome',
                 request_serializer=graspd_dot_v1_dot_planner__service__pb2.ReportOutcomeRequest.SerializeToString,
@@ -103,6 +108,14 @@ class PlannerServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ReadScene(self, request, context):
+        """One scene as the planner reads it, without a search for grasps: where the volume stands, the contact field, and the
+        points that the cameras saw. For looking at; a plan of the same frames at the same time shares the reading.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def ReportOutcome(self, request, context):
         """Says what became of a grasp. Kept in the server's recording, beside its plan; FAILED_PRECONDITION
         (NO_RECORDING) where the server keeps none, NOT_FOUND (PLAN_NOT_FOUND) for a plan that it does not know (any
@@ -129,6 +142,11 @@ def add_PlannerServiceServicer_to_server(servicer, server):
                     servicer.PlanMultiHand,
                     request_deserializer=graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandRequest.FromString,
                     response_serializer=graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandResponse.SerializeToString,
+            ),
+            'ReadScene': grpc.unary_unary_rpc_method_handler(
+                    servicer.ReadScene,
+                    request_deserializer=graspd_dot_v1_dot_planner__service__pb2.ReadSceneRequest.FromString,
+                    response_serializer=graspd_dot_v1_dot_planner__service__pb2.ReadSceneResponse.SerializeToString,
             ),
             'ReportOutcome': grpc.unary_unary_rpc_method_handler(
                     servicer.ReportOutcome,
@@ -228,6 +246,33 @@ class PlannerService(object):
             '/graspd.v1.PlannerService/PlanMultiHand',
             graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandRequest.SerializeToString,
             graspd_dot_v1_dot_planner__service__pb2.PlanMultiHandResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ReadScene(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/graspd.v1.PlannerService/ReadScene',
+            graspd_dot_v1_dot_planner__service__pb2.ReadSceneRequest.SerializeToString,
+            graspd_dot_v1_dot_planner__service__pb2.ReadSceneResponse.FromString,
             options,
             channel_credentials,
             insecure,

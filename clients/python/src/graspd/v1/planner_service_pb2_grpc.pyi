@@ -52,6 +52,10 @@ class PlannerServiceStub:
     """One scene, several hands: the frames are sent and read once, each hand's answer comes as soon as it is ready,
     and a summary comes last.
     """
+    ReadScene: _grpc.UnaryUnaryMultiCallable[_planner_service_pb2.ReadSceneRequest, _planner_service_pb2.ReadSceneResponse]
+    """One scene as the planner reads it, without a search for grasps: where the volume stands, the contact field, and the
+    points that the cameras saw. For looking at; a plan of the same frames at the same time shares the reading.
+    """
     ReportOutcome: _grpc.UnaryUnaryMultiCallable[_planner_service_pb2.ReportOutcomeRequest, _planner_service_pb2.ReportOutcomeResponse]
     """Says what became of a grasp. Kept in the server's recording, beside its plan; FAILED_PRECONDITION
     (NO_RECORDING) where the server keeps none, NOT_FOUND (PLAN_NOT_FOUND) for a plan that it does not know (any
@@ -81,6 +85,10 @@ class PlannerServiceAsyncStub(PlannerServiceStub):
     PlanMultiHand: _aio.UnaryStreamMultiCallable[_planner_service_pb2.PlanMultiHandRequest, _planner_service_pb2.PlanMultiHandResponse]  # type: ignore[assignment]
     """One scene, several hands: the frames are sent and read once, each hand's answer comes as soon as it is ready,
     and a summary comes last.
+    """
+    ReadScene: _aio.UnaryUnaryMultiCallable[_planner_service_pb2.ReadSceneRequest, _planner_service_pb2.ReadSceneResponse]  # type: ignore[assignment]
+    """One scene as the planner reads it, without a search for grasps: where the volume stands, the contact field, and the
+    points that the cameras saw. For looking at; a plan of the same frames at the same time shares the reading.
     """
     ReportOutcome: _aio.UnaryUnaryMultiCallable[_planner_service_pb2.ReportOutcomeRequest, _planner_service_pb2.ReportOutcomeResponse]  # type: ignore[assignment]
     """Says what became of a grasp. Kept in the server's recording, beside its plan; FAILED_PRECONDITION
@@ -126,6 +134,16 @@ class PlannerServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_planner_service_pb2.PlanMultiHandResponse], _abc.AsyncIterator[_planner_service_pb2.PlanMultiHandResponse]]:
         """One scene, several hands: the frames are sent and read once, each hand's answer comes as soon as it is ready,
         and a summary comes last.
+        """
+
+    @_abc_1.abstractmethod
+    def ReadScene(
+        self,
+        request: _planner_service_pb2.ReadSceneRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_planner_service_pb2.ReadSceneResponse, _abc.Awaitable[_planner_service_pb2.ReadSceneResponse]]:
+        """One scene as the planner reads it, without a search for grasps: where the volume stands, the contact field, and the
+        points that the cameras saw. For looking at; a plan of the same frames at the same time shares the reading.
         """
 
     @_abc_1.abstractmethod
