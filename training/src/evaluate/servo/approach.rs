@@ -45,6 +45,12 @@ pub struct Way {
     pub refining_ms: f64,
     /// The first frame, milliseconds on one thread.
     pub planning_ms: f64,
+    /// Score of the first grasp; 0 without one.
+    pub first_score: f64,
+    /// Score of the last one.
+    pub last_score: f64,
+    /// Answers that waited: another grasp was searched, there was none, or the newest frame spoke against it.
+    pub waited: usize,
     /// Whether the object was shoved.
     pub nudged: bool,
 }
@@ -182,5 +188,12 @@ impl Way {
             self.largest_change_m = self.largest_change_m.max(answer.change.translation_m);
         }
         self.replanned = answer.counters.replanned as usize;
+        self.waited += usize::from(answer.state != State::Tracking || !answer.is_settled);
+        if let Some(grasp) = &answer.grasp {
+            if self.first_score == 0.0 {
+                self.first_score = grasp.score;
+            }
+            self.last_score = grasp.score;
+        }
     }
 }
