@@ -3,6 +3,8 @@
 mod pictures;
 mod progress;
 mod replay;
+#[cfg(test)]
+mod servo_tests;
 mod simulation;
 mod sorting;
 mod truth;

@@ -12,7 +12,7 @@ mod suppress;
 mod touch;
 
 pub(crate) use force_closure::Directions;
-pub(crate) use judge::Judge;
+pub(crate) use judge::{Judge, Rejection};
 pub(crate) use reason::all_rejected;
 
 use std::collections::BTreeMap;
@@ -24,7 +24,6 @@ use crate::budget::{Budget, Stop};
 use crate::grasp::{Grasp, RejectReason};
 use crate::objective::Scratch;
 use crate::optimize::Candidate;
-use judge::Rejection;
 
 /// Grasps best first, and what became of the other candidates.
 #[derive(Debug)]

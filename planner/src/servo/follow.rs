@@ -36,6 +36,8 @@ pub(super) struct Following {
     pub(super) target: Target,
     /// The grasp that was answered last.
     pub(super) grasp: Grasp,
+    /// What it scored when it was taken.
+    pub(super) trust: f64,
     /// Frames in a row whose evidence speaks against it.
     pub(super) against: usize,
     /// Frames in a row for which the best grasp was another one.

@@ -17,13 +17,18 @@ use crate::objective::{Objective, Scratch, Weights};
 use crate::optimize::{Candidate, StepSizes, lengths};
 use crate::orientation::Allowed;
 use crate::plan::obstacles;
-use crate::rank::Judge;
+use crate::rank::{Judge, Rejection};
 use crate::scene::Scene;
 
 /// A grasp that would change by more than so many times the bounds is another grasp.
 const ANOTHER: f64 = 4.0;
 /// A rival is taken for so much more score where that costs little: it is near, or the approach has not begun.
-const LEAST_MARGIN: f64 = 0.01;
+const LEAST_MARGIN: f64 = 0.03;
+/// A grasp that the newest frames speak against gives way to one that scores so much less than it did when it was taken, not
+/// to a worse one.
+const AS_GOOD: f64 = 0.1;
+/// Collisions no deeper than this may be the noise of a near view, metres.
+const SHALLOW_M: f64 = 0.01;
 /// A rival that takes hold this far away holds another part of the target, or its neighbour, metres.
 const SAME_MIDDLE_M: f64 = 0.02;
 
@@ -57,9 +62,9 @@ impl Servo {
         let judge = Judge { scene, objective: &objective, allowed: &allowed, options, directions: &self.directions };
         let target = f.target.position;
         let judged = |candidate: &Candidate, scratch: &mut Scratch| {
-            let grasp = judge.judge(candidate, scratch).map_err(|r| r.reason)?;
+            let grasp = judge.judge(candidate, scratch)?;
             let is_target = (grasp.centroid - target).norm() <= OF_TARGET_M;
-            if is_target { Ok(grasp) } else { Err(RejectReason::NotTarget) }
+            if is_target { Ok(grasp) } else { Err(Rejection::new(RejectReason::NotTarget, 0.0)) }
         };
         let iterations = self.options.iterations;
         let ask = |candidate: &mut Candidate, scratch: &mut Scratch| {
@@ -87,21 +92,25 @@ impl Servo {
             (Err(_), Ok(_)) => true,
             (Ok(held), Ok(proposed)) => proposed.score >= held.score + margin(proposed),
         };
-        let found = if is_better {
+        // One that nothing else speaks for need not wait.
+        let is_taken = is_better && (held.is_err() || f.rivals.wins(turn));
+        let found = if is_taken {
             f.rivals.promote(turn, &mut f.candidate);
             proposed
         } else {
-            f.rivals.leave(turn, &f.candidate);
+            if !is_better {
+                f.rivals.leave(turn, &f.candidate);
+            }
             held
         };
         let (found, why) = match found {
-            Ok(grasp) if is_better && turn != Turn::Own => (Some(grasp), Some(Replan::Better)),
+            Ok(grasp) if is_taken && turn != Turn::Own => (Some(grasp), Some(Replan::Better)),
             Ok(grasp) => (Some(grasp), None),
             Err(_) if f.against < self.options.patience => {
                 f.against += 1;
                 (None, None)
             }
-            Err(reason) => {
+            Err(rejection) => {
                 // The best of all rivals, before a search.
                 let mut best: Option<(usize, Grasp)> = None;
                 for i in 0..f.rivals.len() {
@@ -113,10 +122,16 @@ impl Servo {
                         best = Some((i, grasp));
                     }
                 }
+                let best = best.filter(|(_, grasp)| grasp.score >= f.trust - AS_GOOD);
                 if let Some((i, _)) = best {
                     f.rivals.promote(Turn::Other(i), &mut f.candidate);
+                } else if is_doubtful(&rejection) {
+                    // What was planned from afar is not given up for something worse because of the noise of a near view.
+                    drop(objective);
+                    self.centroids = centroids;
+                    return Verdict { state: State::Tracking, jump_m: 0.0, is_settled: true };
                 }
-                (best.map(|b| b.1), Some(Replan::Rejected(reason)))
+                (best.map(|b| b.1), Some(Replan::Rejected(rejection.reason)))
             }
         };
         drop(objective);
@@ -131,6 +146,9 @@ impl Servo {
             };
         };
         f.against = 0;
+        if why.is_some() {
+            f.trust = grasp.score;
+        }
         if why.is_some() && (grasp.centroid - target).norm() > SAME_MIDDLE_M {
             f.target = Target::at(grasp.centroid);
         }
@@ -157,5 +175,15 @@ impl Servo {
             between(&f.grasp, &grasp, share, &hand, &pivot, &scene.world_from_camera)
         };
         Verdict { state: State::Tracking, jump_m: 0.0, is_settled }
+    }
+}
+
+/// True for a rejection that may be noise: a shallow collision, or contacts that are seen a little otherwise.
+fn is_doubtful(rejection: &Rejection) -> bool {
+    use RejectReason as R;
+    match rejection.reason {
+        R::CollisionScene | R::CollisionTable | R::ApproachBlocked => rejection.by_m <= SHALLOW_M,
+        R::NoForceClosure | R::LowScore => true,
+        _ => false,
     }
 }

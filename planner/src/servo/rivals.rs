@@ -14,6 +14,8 @@ use crate::optimize::Candidate;
 pub(super) const MOST: usize = 6;
 /// A continuation that has not become better in so many looks begins again from the grasp.
 const IN_VAIN: usize = 6;
+/// Another grasp must have been better in so many looks in a row.
+const CONVINCING: usize = 3;
 
 /// Whose turn it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,13 +34,15 @@ pub(super) struct Rivals {
     others: Vec<Candidate>,
     frames: usize,
     next: usize,
+    /// How often in a row the one whose turn it was has been better.
+    wins: usize,
 }
 
 impl Rivals {
     /// The continuation of a candidate, and others; at most [`MOST`] of them.
     pub(super) fn new(of: &Candidate, others: impl IntoIterator<Item = Candidate>) -> Self {
         let others = others.into_iter().take(MOST).collect();
-        Self { own: of.clone(), in_vain: 0, others, frames: 0, next: 0 }
+        Self { own: of.clone(), in_vain: 0, others, frames: 0, next: 0, wins: 0 }
     }
 
     /// Whose turn it is in the next frame: one of the others every so many frames, never for 0.
@@ -47,7 +51,10 @@ impl Rivals {
         if every == 0 || self.others.is_empty() || !self.frames.is_multiple_of(every) {
             return Turn::Own;
         }
-        self.next = (self.next + 1) % self.others.len();
+        // One that has just been better is looked at again.
+        if self.wins == 0 {
+            self.next = (self.next + 1) % self.others.len();
+        }
         Turn::Other(self.next)
     }
 
@@ -64,9 +71,19 @@ impl Rivals {
         self.others.len()
     }
 
+    /// The candidate whose turn it was is better in this frame; true when that is enough: others must be so often enough in
+    /// a row, since the best of many noisy figures is one that is too good.
+    pub(super) fn wins(&mut self, turn: Turn) -> bool {
+        if turn == Turn::Own {
+            return true;
+        }
+        self.wins += 1;
+        self.wins >= CONVINCING
+    }
+
     /// The candidate whose turn it was has become the grasp; what was the grasp becomes one of the others.
     pub(super) fn promote(&mut self, turn: Turn, grasp: &mut Candidate) {
-        self.in_vain = 0;
+        (self.in_vain, self.wins) = (0, 0);
         match turn {
             Turn::Other(i) if i < self.others.len() => {
                 std::mem::swap(&mut self.others[i], grasp);
@@ -79,6 +96,7 @@ impl Rivals {
     /// The candidate whose turn it was is no better than the grasp.
     pub(super) fn leave(&mut self, turn: Turn, grasp: &Candidate) {
         if turn != Turn::Own {
+            self.wins = 0;
             return;
         }
         self.in_vain += 1;

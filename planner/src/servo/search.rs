@@ -52,6 +52,7 @@ impl Servo {
             rivals,
             world_from_window: scene.workspace.world_from_volume,
             target: Target::at(grasp.centroid),
+            trust: grasp.score,
             grasp,
             against: 0,
             other: 0,
@@ -108,6 +109,7 @@ impl Servo {
         let apart = change(&f.grasp.world_from_hand, &grasp.world_from_hand, &pivot);
         (f.candidate, f.rivals) = (candidate, rivals);
         f.target = Target::at(grasp.centroid);
+        f.trust = grasp.score;
         f.grasp = grasp;
         (f.against, f.other, f.empty, f.vain) = (0, 0, 0, 0);
         (f.searching, f.lost) = (None, None);

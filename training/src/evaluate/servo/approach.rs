@@ -77,8 +77,9 @@ pub(super) struct Approach<'a> {
 
 impl Approach<'_> {
     /// Frame after frame. What a frame says is obeyed when the next one is taken: a real servo is that late.
-    pub(super) fn run(mut self) -> (Arrived, Way) {
+    pub(super) fn run(mut self) -> (Arrived, Way, Vec<String>) {
         let mut way = Way::default();
+        let mut replans: Vec<String> = Vec::new();
         let steps = (1.0 / (self.frames_per_s * self.world.settings().dt_s)).round().max(1.0) as usize;
         let frames = (LONGEST_S * self.frames_per_s) as u64;
         let (mut pending, mut first, mut lost): (Option<Answer>, Option<Grasp>, usize) = (None, None, 0);
@@ -102,7 +103,12 @@ impl Approach<'_> {
                 self.world.step();
             }
             let Ok(answer) = answer else { continue };
+            let announced = answer.counters.replanned as usize > way.replanned;
             way.note(&answer, took_ms);
+            if let (true, State::Replanning(why)) = (announced, answer.state) {
+                let score = answer.grasp.as_ref().map_or(0.0, |g| g.score);
+                replans.push(format!("{sequence} {} {score:.2} {:.0} mm", why.as_str(), 1e3 * answer.standoff_m));
+            }
             if let (None, Some(grasp)) = (&first, &answer.grasp) {
                 first = Some(grasp.clone());
             }
@@ -117,7 +123,7 @@ impl Approach<'_> {
                     State::Lost(loss) => loss,
                     _ => Loss::TargetGone,
                 };
-                return (Arrived::Nothing(why.as_str()), way);
+                return (Arrived::Nothing(why.as_str()), way, replans);
             }
             if let Some(nudge) = self.nudge
                 && !way.nudged
@@ -129,11 +135,11 @@ impl Approach<'_> {
             if answer.go
                 && let Some(grasp) = answer.grasp
             {
-                return (Arrived::Go(Box::new(grasp)), way);
+                return (Arrived::Go(Box::new(grasp)), way, replans);
             }
             pending = Some(answer);
         }
-        (Arrived::Nothing("never_close_enough"), way)
+        (Arrived::Nothing("never_close_enough"), way, replans)
     }
 
     /// To the stand-off, fingers as the grasp has them on its way.

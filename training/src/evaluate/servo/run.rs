@@ -41,6 +41,9 @@ pub struct ServoAttempt {
     pub objects: usize,
     /// The approach.
     pub way: Way,
+    /// Every grasp that was announced as another one: frame, reason, score, stand-off.
+    #[serde(default)]
+    pub replans: Vec<String>,
 }
 
 /// One tray, cleared or given up.
@@ -228,7 +231,7 @@ pub(super) fn attempt(
         nudge: settings.nudge,
         seed,
     };
-    let (arrived, way) = approach.run();
+    let (arrived, way, replans) = approach.run();
     let grasp = match arrived {
         Arrived::Go(grasp) => grasp,
         Arrived::Nothing(why) => {
@@ -239,6 +242,7 @@ pub(super) fn attempt(
                 held: 0,
                 objects,
                 way,
+                replans,
             });
         }
     };
@@ -270,7 +274,7 @@ pub(super) fn attempt(
     for &at in gone.iter().rev() {
         contents.take(world, at);
     }
-    Ok(ServoAttempt { class, nothing: None, held, objects, way })
+    Ok(ServoAttempt { class, nothing: None, held, objects, way, replans })
 }
 
 /// The servo's options for one attempt.
