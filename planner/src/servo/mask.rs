@@ -12,8 +12,6 @@ use crate::frame::{Frame, Intrinsics};
 const MARGIN_M: f64 = 0.012;
 /// Nearer than this to the camera a sphere fills the picture, metres.
 const NEAR_M: f64 = 0.01;
-/// So many pixels beside the hand show neither it nor what is behind it.
-const EDGE_PIXELS: usize = 3;
 
 /// Rays of a lens, and the spheres of a hand in its frame: memory that frames share.
 #[derive(Debug, Clone, Default)]
@@ -22,7 +20,6 @@ pub(super) struct Mask {
     rays: Vec<[f32; 2]>,
     /// Pixels of the last frame that show the hand.
     pub(super) hidden: Vec<bool>,
-    grown: Vec<bool>,
 }
 
 impl Mask {
@@ -44,11 +41,11 @@ impl Mask {
         self.prepare(&frame.intrinsics, width, height);
         let camera_from_hand = world_from_camera.inverse() * world_from_hand;
         let poses = hand.tree.body_poses(joints);
-        let mut is_seen = false;
+        let mut count = 0;
         for sphere in &hand.spheres {
             let Some(pose) = poses.get(sphere.body) else { continue };
             let center = camera_from_hand * (pose * sphere.center);
-            is_seen |= self.sphere(
+            count += self.sphere(
                 &mut frame.image.depth_m,
                 &frame.intrinsics,
                 width,
@@ -57,31 +54,7 @@ impl Mask {
                 sphere.radius,
             );
         }
-        if is_seen { self.grow(&mut frame.image.depth_m, width) } else { 0 }
-    }
-
-    /// Hides what is next to the hand in the picture too: at its edges a time-of-flight camera measures depths between the
-    /// hand's and what is behind it, which would be fused as things in the air. How many pixels are hidden in all.
-    fn grow(&mut self, depth: &mut [f32], width: usize) -> usize {
-        self.grown.clear();
-        self.grown.resize(self.hidden.len(), false);
-        // Along rows, then along columns.
-        for (row, out) in self.hidden.chunks(width).zip(self.grown.chunks_mut(width)) {
-            for (x, _) in row.iter().enumerate().filter(|(_, hidden)| **hidden) {
-                out[x.saturating_sub(EDGE_PIXELS)..(x + EDGE_PIXELS + 1).min(width)].fill(true);
-            }
-        }
-        let height = self.grown.len() / width.max(1);
-        for y in 0..height {
-            for k in y.saturating_sub(EDGE_PIXELS)..(y + EDGE_PIXELS + 1).min(height) {
-                let rows = (k * width..(k + 1) * width).zip(y * width..(y + 1) * width);
-                for (from, to) in rows {
-                    self.hidden[to] |= self.grown[from];
-                }
-            }
-        }
-        let hidden = self.hidden.iter().zip(depth).filter(|(hidden, _)| **hidden);
-        hidden.map(|(_, depth)| *depth = f32::NAN).count()
+        count
     }
 
     fn prepare(&mut self, lens: &Intrinsics, width: usize, height: usize) {
@@ -106,10 +79,10 @@ impl Mask {
         height: usize,
         center: &Point3<f64>,
         radius: f64,
-    ) -> bool {
+    ) -> usize {
         let radius = radius + MARGIN_M;
         if center.z + radius <= 0.0 {
-            return false;
+            return 0;
         }
         let near = center.z - radius;
         let columns_and_rows = if near < NEAR_M {
@@ -125,10 +98,10 @@ impl Mask {
                 (range(u, width), range(v, height))
             })
         };
-        let Some((columns, rows)) = columns_and_rows else { return false };
+        let Some((columns, rows)) = columns_and_rows else { return 0 };
         let c = Vector3::new(center.x as f32, center.y as f32, center.z as f32);
         let beyond = c.norm_squared() - (radius * radius) as f32;
-        let mut is_seen = false;
+        let mut count = 0;
         for row in rows {
             for column in columns.clone() {
                 let i = row * width + column;
@@ -146,11 +119,11 @@ impl Mask {
                 if d >= enter && d <= leave && !self.hidden[i] {
                     self.hidden[i] = true;
                     depth[i] = f32::NAN;
-                    is_seen = true;
+                    count += 1;
                 }
             }
         }
-        is_seen
+        count
     }
 }
 
