@@ -46,7 +46,9 @@ impl Recovery {
             Self::Retreat => {
                 "attempt failed: stop, clear the fault, open the hand, straight back; plan again"
             }
-            Self::BackOff => "straight back to where the approach began; look and plan again, as after no grasp",
+            Self::BackOff => {
+                "straight back to where the approach began; look and plan again, as after no grasp"
+            }
             Self::PlanAgain => {
                 "look and plan again, with another seed, every second time with any reaching direction, with the floor told \
                  as it is and lower, with up to 16 times as many candidates"
@@ -140,12 +142,7 @@ pub const TABLE: &[Row] = &[
         then: Recovery::BackOff,
     },
     Row { steps: &[Step::Follow], trouble: Trouble::NoAnswer, first: Recovery::Retry, then: Recovery::End },
-    Row {
-        steps: &[Step::Follow],
-        trouble: Trouble::Stop,
-        first: Recovery::Retreat,
-        then: Recovery::Retreat,
-    },
+    Row { steps: &[Step::Follow], trouble: Trouble::Stop, first: Recovery::Retreat, then: Recovery::Retreat },
     Row {
         steps: &[Step::Approach],
         trouble: Trouble::NoAnswer,

@@ -118,6 +118,18 @@ async fn fingers_that_are_wedged_by_opening_close_again_and_go_out() {
     assert_eq!(thumb, [0.0, 1.0, 0.0], "open, closed as before, open in the air");
 }
 
+/// An arm that stands next to a singularity may refuse every straight line: the way out goes by its joints then.
+#[tokio::test(start_paused = true)]
+async fn where_no_straight_line_leads_out_the_joints_do() {
+    let shared = Shared::new(2).with_fault(Step::CheckContact, Fault::Slips, 1);
+    shared.world().no_way_up = vec![Step::Retreat];
+    let (report, log) = run(&shared, &config()).await;
+    assert_eq!(report.end, End::Empty, "{log:?}");
+    assert_eq!((report.tally.trials, report.tally.successes), (3, 2), "{log:?}");
+    assert_eq!(log, ["check_contact nothing held Retreat"]);
+    assert!(shared.world().moves.iter().any(|(step, _)| *step == Step::Retreat));
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_stop_while_carrying_goes_on_with_the_object() {
     for step in [Step::Lift, Step::Carry] {

@@ -31,7 +31,8 @@ async fn every_grasp_is_followed_and_gripped_where_the_last_answer_said() {
     assert_eq!(world.calls.get("plan"), None, "the servo plans");
     // It looks from where the configuration says, before anything is planned.
     let eye = ServoConfig::default().eye_m;
-    let looked = |at: &nalgebra::Isometry3<f64>| (at.translation.vector - nalgebra::Vector3::from(eye)).norm() < 1e-9;
+    let looked =
+        |at: &nalgebra::Isometry3<f64>| (at.translation.vector - nalgebra::Vector3::from(eye)).norm() < 1e-9;
     assert!(world.moves.iter().any(|(step, at)| *step == Step::ClearView && looked(at)));
     let of = |wanted: Step| world.moves.iter().filter(move |(step, _)| *step == wanted);
     // Ever nearer: each pose that was followed is lower than the one before. The first answer has planned; the last lets the
@@ -102,7 +103,11 @@ async fn what_never_comes_near_is_given_up() {
     }
     let shared = shared(1);
     let (report, log) = run(&shared, &config).await;
-    assert!(matches!(&report.end, End::NoGrasp { why } if why.contains("not near enough")), "{:?}", report.end);
+    assert!(
+        matches!(&report.end, End::NoGrasp { why } if why.contains("not near enough")),
+        "{:?}",
+        report.end
+    );
     assert!(log.iter().all(|line| line == "follow target lost BackOff"), "{log:?}");
 }
 

@@ -25,6 +25,8 @@ use commands::{bench, demo, doctor, hands, load, plan, recalibrate, replay, serv
 use commands::{cell, dataset, eval};
 #[cfg(feature = "devices")]
 use commands::{device, emulate};
+#[cfg(feature = "nats")]
+use commands::{lease, worker};
 
 /// Ranked grasps for any robotic hand from one depth frame, over gRPC.
 #[derive(Debug, Parser)]
@@ -49,6 +51,10 @@ enum LogFormat {
 #[derive(Debug, Subcommand)]
 enum Command {
     Serve(Box<serve::ServeArgs>),
+    #[cfg(feature = "nats")]
+    Worker(Box<worker::WorkerArgs>),
+    #[cfg(feature = "nats")]
+    Lease(Box<lease::LeaseArgs>),
     Plan(Box<plan::PlanArgs>),
     Hands(hands::HandsArgs),
     Demo(demo::DemoArgs),
@@ -72,7 +78,12 @@ enum Command {
 fn main() -> ExitCode {
     let cli = Cli::parse();
     // Logs go to stderr: stdout belongs to tables and JSON.
-    let quiet = if matches!(cli.command, Command::Serve(_)) { "info" } else { "warn" };
+    let quiet = match cli.command {
+        Command::Serve(_) => "info,async_nats=warn",
+        #[cfg(feature = "nats")]
+        Command::Worker(_) => "info,async_nats=warn",
+        _ => "warn",
+    };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
     let ansi = std::io::stderr().is_terminal();
     let lines = tracing_subscriber::fmt()
@@ -87,6 +98,10 @@ fn main() -> ExitCode {
     }
     let result = match &cli.command {
         Command::Serve(args) => serve::run(args),
+        #[cfg(feature = "nats")]
+        Command::Worker(args) => worker::run(args),
+        #[cfg(feature = "nats")]
+        Command::Lease(args) => lease::run(args),
         Command::Plan(args) => plan::run(args),
         Command::Hands(args) => hands::run(args),
         Command::Demo(args) => demo::run(args),

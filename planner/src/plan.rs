@@ -88,8 +88,7 @@ pub(crate) fn search(
     let mut batch = Batch::new(&objective, &allowed, &initializer, StepSizes::default());
     let after_init = budget.elapsed();
     let directions = Directions::new();
-    let judge =
-        Judge { scene, objective: &objective, allowed: &allowed, options, directions: &directions };
+    let judge = Judge { scene, objective: &objective, allowed: &allowed, options, directions: &directions };
 
     let (mut best_score, mut next_look) = (0.0, LOOK_EVERY);
     while !batch.is_finished() {

@@ -22,12 +22,17 @@ use crate::error::{FieldError, FieldReason, ServiceError};
 use crate::estimates::{Estimates, SceneKind};
 use crate::estimators::Estimators;
 use crate::health::Health;
+use crate::jobs::JobEngine;
 use crate::metrics::{Metrics, PlanOutcome};
 use crate::pool::{Estimate, Flow, Order, Pool, PoolError, Priority, SceneRoom, Ticket, Turn};
 use crate::recorder::{CallRecord, Recorder, new_plan_id};
-use crate::registry::Registry;
+use crate::registry::{HandStore, Registry};
 use crate::scenes::{Scenes, SharedScene};
 use crate::trace::{Stages, Tracer, Value};
+
+mod begin;
+
+pub(crate) use begin::{Begun, Wire};
 
 /// Iterations that an answer needs to be worth having, where the caller takes the best so far.
 const LEAST_ITERATIONS: usize = 20;
@@ -61,6 +66,10 @@ pub(crate) struct Engine {
     pub(crate) health: Health,
     /// Spans on their way out.
     pub(crate) tracer: Tracer,
+    /// Who plans instead of this process.
+    pub(crate) elsewhere: Option<Arc<dyn JobEngine>>,
+    /// Where hands that are created are kept, for other servers too.
+    pub(crate) hand_store: Option<Arc<dyn HandStore>>,
 }
 
 /// A hand's answer.

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::time::Duration;
 
+use crate::jobs::Relayed;
 use crate::pool::PoolError;
 
 /// Why one field of a request was refused.
@@ -241,6 +242,15 @@ pub enum ServiceError {
         /// For how long.
         limit: Duration,
     },
+    /// The machines that plan, or what is between them and this one, cannot be reached.
+    #[error("the planning engine is away: {what}; try again")]
+    EngineAway {
+        /// What is wrong.
+        what: String,
+    },
+    /// What another machine says to the caller.
+    #[error("{}", .0.message)]
+    Relayed(Box<Relayed>),
     /// The server is shutting down.
     #[error("the server is shutting down")]
     Draining,

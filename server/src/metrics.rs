@@ -298,7 +298,7 @@ impl Metrics {
 
 /// A method as a label: those that there are, and one name for all others, so that nobody makes labels.
 fn method(path: &str) -> &'static str {
-    const KNOWN: [&str; 9] = [
+    const KNOWN: [&str; 11] = [
         "/graspd.v1.PlannerService/PlanGrasps",
         "/graspd.v1.PlannerService/StreamGrasps",
         "/graspd.v1.PlannerService/PlanMultiHand",
@@ -306,8 +306,10 @@ fn method(path: &str) -> &'static str {
         "/graspd.v1.ServoService/ServoGrasp",
         "/graspd.v1.HandService/ListHands",
         "/graspd.v1.HandService/GetHand",
+        "/graspd.v1.HandService/GetHandGeometry",
         "/graspd.v1.HandService/CreateHand",
         "/graspd.v1.HandService/DeleteHand",
+        "/graspd.v1.InfoService/GetServerInfo",
     ];
     let known = KNOWN.into_iter().find(|known| *known == path);
     known.and_then(|path| path.rsplit('/').next()).unwrap_or("other")
@@ -335,3 +337,6 @@ fn code_name(code: tonic::Code) -> &'static str {
         Code::Unauthenticated => "UNAUTHENTICATED",
     }
 }
+
+#[cfg(test)]
+mod tests;

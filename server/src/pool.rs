@@ -13,6 +13,7 @@
 mod gate;
 mod room;
 mod slot;
+mod sync;
 mod ticket;
 
 pub use gate::{Gate, Look};
@@ -21,7 +22,7 @@ pub use room::SceneRoom;
 pub use ticket::{Ticket, Turn};
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use graspd_planner::budget::Budget as _;
@@ -30,6 +31,7 @@ use tokio::sync::oneshot;
 
 use crate::deadline::CallBudget;
 use slot::{Job, Refuse, Run, Shared, State, run_slot};
+use sync::{Condvar, Cores, Mutex, thread};
 
 /// A job without a deadline is ordered as if it had this much time.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -166,16 +168,12 @@ impl Pool {
         });
         let pool = Self { shared: Arc::clone(&shared), config };
         for slot in 0..config.slots.max(1) + config.servo_slots {
-            let rayon = rayon::ThreadPoolBuilder::new()
-                .num_threads(config.threads.max(1))
-                .thread_name(move |i| format!("plan-{slot}-{i}"))
-                .build()
-                .map_err(|e| PoolError::Threads(e.to_string()))?;
+            let cores = Cores::start(slot, config.threads).map_err(|e| PoolError::Threads(e.to_string()))?;
             let shared = Arc::clone(&shared);
             let room_limit = config.scene_room.max(1);
-            std::thread::Builder::new()
+            thread::Builder::new()
                 .name(format!("plan-{slot}"))
-                .spawn(move || run_slot(&shared, &rayon, room_limit))
+                .spawn(move || run_slot(&shared, &cores, room_limit))
                 .map_err(|e| PoolError::Threads(e.to_string()))?;
         }
         Ok(pool)
@@ -365,9 +363,9 @@ where
         let answer = answer.clone();
         Box::new(move |error| answer(Err(error)))
     };
-    let run: Run = Box::new(move |rayon, mut turn| {
+    let run: Run = Box::new(move |cores, mut turn| {
         turn.queued = queued_at.elapsed();
-        let result = catch_unwind(AssertUnwindSafe(|| rayon.install(|| job(turn))));
+        let result = catch_unwind(AssertUnwindSafe(|| cores.run(|| job(turn))));
         let result = result.map_err(|panic| {
             let said = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
             let said = said.or_else(|| panic.downcast_ref::<String>().cloned());
@@ -385,5 +383,7 @@ impl Drop for Pool {
     }
 }
 
+#[cfg(test)]
+mod schedules;
 #[cfg(test)]
 mod tests;

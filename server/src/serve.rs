@@ -21,15 +21,14 @@ use tonic_health::server::HealthService;
 use crate::calibration::Calibration;
 use crate::engine::Engine;
 use crate::estimators::Estimators;
-use crate::health::Health;
-use crate::metrics::Metrics;
-use crate::pool::{Pool, PoolConfig, PoolError};
+use crate::jobs::JobEngine;
+use crate::local::start_engine;
+use crate::pool::{PoolConfig, PoolError};
 use crate::recorder::{RecordConfig, Recorder};
-use crate::registry::{FolderError, Registry};
-use crate::scenes::Scenes;
+use crate::registry::{FolderError, HandStore, HandSync};
 use crate::security::{Acceptor, Access, Limits, Quotas, Tls, TlsError, WrongAccess, accept};
 use crate::service::{CallLayer, Gatekeeper, HandApi, InfoApi, PlannerApi, ServoApi};
-use crate::trace::{Tracer, WrongCollector};
+use crate::trace::WrongCollector;
 
 /// HTTP/2 window of a stream: a whole depth frame, so that it is not throttled by round trips.
 const STREAM_WINDOW_BYTES: u32 = 8 << 20;
@@ -75,6 +74,10 @@ pub struct ServerConfig {
     pub record: Option<RecordConfig>,
     /// What scores become on their way out. Default: they stay as the planner makes them.
     pub calibration: Option<Calibration>,
+    /// Who plans. Default: this process.
+    pub engine: Option<Arc<dyn JobEngine>>,
+    /// Where hands that are created are kept, for other servers and workers too. Default: in this process.
+    pub hand_store: Option<Arc<dyn HandStore>>,
     /// How long running calls may take to finish once the server is asked to end. Default 10 s.
     pub drain_grace: Duration,
 }
@@ -96,6 +99,8 @@ impl Default for ServerConfig {
             otlp: None,
             record: None,
             calibration: None,
+            engine: None,
+            hand_store: None,
             drain_grace: Duration::from_secs(10),
         }
     }
@@ -218,41 +223,7 @@ impl Server {
             }
         }
         let acceptor = config.tls.clone().map(Acceptor::new).transpose()?;
-        let hands_dir = config.hands_dir.clone();
-        let registry = tokio::task::spawn_blocking(move || -> Result<Registry, FolderError> {
-            let registry = Registry::with_library();
-            if let Some(path) = hands_dir {
-                let count = registry.add_folder(&path)?;
-                tracing::info!(path = %path.display(), count, "hands read from folder");
-            }
-            Ok(registry)
-        })
-        .await
-        .map_err(|e| ServeError::Loading(e.to_string()))??;
-        let metrics: Arc<Metrics> = Arc::default();
-        let record = config.record.clone().map(|record| (record, Arc::clone(&metrics)));
-        let recorder = tokio::task::spawn_blocking(move || {
-            record.map(|(record, metrics)| Recorder::start(&record, metrics)).transpose()
-        })
-        .await
-        .map_err(|e| ServeError::Loading(e.to_string()))??;
-        let engine = Arc::new(Engine {
-            pool: Pool::start(config.pool)?,
-            registry,
-            estimators: config.estimators.clone(),
-            aborted: Arc::default(),
-            overrun: Arc::default(),
-            estimates: Arc::default(),
-            metrics,
-            scenes: Scenes::default(),
-            answers: Arc::default(),
-            recorder,
-            calibration: config.calibration.clone().map(Arc::new),
-            health: Health::default(),
-            tracer: Tracer::start(config.otlp.as_deref())?,
-        });
-        // Nobody is answered before planning has worked once; where it does not, that is told from the beginning.
-        engine.warm_up().await;
+        let engine = start_engine(&config).await?;
         let fault = |source| ServeError::Bind { addr, source };
         let listener = TcpListener::bind(addr).await.map_err(fault)?;
         let local_addr = listener.local_addr().map_err(fault)?;
@@ -273,6 +244,11 @@ impl Server {
     /// The address of metrics and readiness, if there is one, with its real port.
     pub fn metrics_addr(&self) -> Option<SocketAddr> {
         self.http.as_ref().and_then(|listener| listener.local_addr().ok())
+    }
+
+    /// What a store of hands tells of hands that come and go.
+    pub fn hands(&self) -> HandSync {
+        HandSync::new(Arc::clone(&self.engine))
     }
 
     /// A view of the planning pool that outlives the server's own handle.
@@ -382,7 +358,7 @@ impl Server {
 }
 
 /// Ends a task with the server.
-struct AbortOnDrop(Option<JoinHandle<()>>);
+pub(crate) struct AbortOnDrop(pub(crate) Option<JoinHandle<()>>);
 
 impl Drop for AbortOnDrop {
     fn drop(&mut self) {

@@ -2,6 +2,7 @@
 //!
 //! Every status carries `google.rpc.ErrorInfo` with [`DOMAIN`] and a reason in upper snake case.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 use graspd_proto::v1;
@@ -17,14 +18,14 @@ pub const DOMAIN: &str = "graspd.dev";
 /// Code, reason and details of an error.
 struct Mapping {
     code: Code,
-    reason: &'static str,
+    reason: Cow<'static, str>,
     metadata: Vec<(&'static str, String)>,
     details: ErrorDetails,
 }
 
 impl Mapping {
-    fn new(code: Code, reason: &'static str) -> Self {
-        Self { code, reason, metadata: Vec::new(), details: ErrorDetails::new() }
+    fn new(code: Code, reason: impl Into<Cow<'static, str>>) -> Self {
+        Self { code, reason: reason.into(), metadata: Vec::new(), details: ErrorDetails::new() }
     }
 
     fn with(mut self, key: &'static str, value: impl ToString) -> Self {
@@ -45,6 +46,11 @@ impl Mapping {
 
 impl From<&ServiceError> for Status {
     fn from(error: &ServiceError) -> Self {
+        if let ServiceError::Relayed(relayed) = error
+            && !relayed.details.is_empty()
+        {
+            return Self::with_details(relayed.code, relayed.message.clone(), relayed.details.clone());
+        }
         let Mapping { code, reason, metadata, mut details } = mapping(error);
         let metadata: HashMap<String, String> =
             metadata.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
@@ -60,7 +66,7 @@ impl From<ServiceError> for Status {
 }
 
 /// The reason of an error, as in `google.rpc.ErrorInfo.reason`.
-pub fn reason(error: &ServiceError) -> &'static str {
+pub fn reason(error: &ServiceError) -> Cow<'static, str> {
     mapping(error).reason
 }
 
@@ -76,7 +82,7 @@ pub(crate) fn task_error(error: &ServiceError) -> v1::TaskError {
     v1::TaskError {
         code: code as i32,
         message: error.to_string(),
-        reason: reason.to_owned(),
+        reason: reason.into_owned(),
         field_violations: (violations.iter())
             .map(|v| v1::FieldViolation { field: v.field.clone(), description: v.description.clone() })
             .collect(),
@@ -176,6 +182,11 @@ fn mapping(error: &ServiceError) -> Mapping {
                 .with("stage", stage)
         }
         ServiceError::Cancelled => Mapping::new(Code::Cancelled, "CANCELLED"),
+        ServiceError::EngineAway { .. } => Mapping::new(Code::Unavailable, "ENGINE_AWAY"),
+        ServiceError::Relayed(relayed) => {
+            let mapping = Mapping::new(relayed.code, relayed.reason.clone());
+            relayed.violations.iter().fold(mapping, |m, (field, problem)| m.violation(field, problem))
+        }
         ServiceError::Draining => Mapping::new(Code::Unavailable, "DRAINING"),
         ServiceError::JobPanicked => Mapping::new(Code::Internal, "JOB_PANICKED"),
         ServiceError::Internal { .. } => Mapping::new(Code::Internal, "INTERNAL"),
@@ -222,10 +233,13 @@ mod tests {
 
     use super::*;
     use crate::error::{FieldError, FieldReason, HandProblem};
+    use crate::jobs::Relayed;
 
     /// One of each variant, with its code and reason.
     fn table() -> Vec<(ServiceError, Code, &'static str)> {
         let text = || "x".to_owned();
+        // As it arrives from another machine: with its details and all.
+        let relayed = Relayed::from(&Status::from(ServiceError::UnknownHand { name: text() }));
         let mut table = vec![
             (ServiceError::UnknownHand { name: text() }, Code::NotFound, "HAND_NOT_FOUND"),
             (
@@ -296,6 +310,8 @@ mod tests {
             (ServiceError::NoRecording, Code::FailedPrecondition, "NO_RECORDING"),
             (ServiceError::NotRecorded, Code::Unavailable, "NOT_RECORDED"),
             (ServiceError::Cancelled, Code::Cancelled, "CANCELLED"),
+            (ServiceError::EngineAway { what: text() }, Code::Unavailable, "ENGINE_AWAY"),
+            (ServiceError::Relayed(Box::new(relayed)), Code::NotFound, "HAND_NOT_FOUND"),
             (ServiceError::Draining, Code::Unavailable, "DRAINING"),
             (ServiceError::JobPanicked, Code::Internal, "JOB_PANICKED"),
             (ServiceError::Internal { what: text() }, Code::Internal, "INTERNAL"),

@@ -11,6 +11,7 @@
 pub mod camera;
 pub mod mesh;
 pub mod object;
+pub mod solid;
 
 // What happens to them.
 pub mod clutter;

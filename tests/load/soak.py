@@ -5,9 +5,10 @@ Every minute a line: goodput, resident memory, open files, bytes of the recordin
 than a tenth (and 32 MiB) between the first quarter and the last, if files are left open, if the recording leaves its
 budget, if a call fails otherwise than by load, or if the server dies.
 
-    tests/load/soak.py target/release/graspd [hours, default 8] [calls a second, default 2]
+    tests/load/soak.py target/release/graspd --hours 8 --rate 2
 """
 
+import argparse
 import json
 import os
 import shutil
@@ -55,9 +56,12 @@ def codes(metrics_port):
 
 
 def main():
-    graspd = sys.argv[1]
-    hours = float(sys.argv[2]) if len(sys.argv) > 2 else 8.0
-    rate = sys.argv[3] if len(sys.argv) > 3 else "2"
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("graspd", help="the binary, for example target/release/graspd")
+    parser.add_argument("--hours", type=float, default=8.0, help="how long (default: %(default)s)")
+    parser.add_argument("--rate", type=float, default=2.0, help="calls a second (default: %(default)s)")
+    args = parser.parse_args()
+    graspd, hours, rate = args.graspd, args.hours, str(args.rate)
     folder = tempfile.mkdtemp(prefix="graspd-soak-")
     port, metrics = free_port(), free_port()
     serve = [graspd, "serve", "--listen", f"127.0.0.1:{port}", "--metrics-listen", f"127.0.0.1:{metrics}"]

@@ -128,7 +128,10 @@ impl MockArm {
             let (state, world_from_hand, theirs) = (self.state.clone(), *to, call.clone());
             let speed_m_s = limits.speed_m_s;
             let answer = self.link.shared.request(move |stage, reply| {
-                state.begin(stage, Order { call: theirs, reply, world_from_hand, speed_m_s, contact_n, led: false });
+                state.begin(
+                    stage,
+                    Order { call: theirs, reply, world_from_hand, speed_m_s, contact_n, led: false },
+                );
             });
             let answer = answer.await.map_err(|_| self.link.ended())?;
             self.link.back(&call, answer).await

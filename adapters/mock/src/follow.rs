@@ -85,9 +85,7 @@ impl MockArm {
 }
 
 /// Ready when a motion that runs has ended.
-async fn end_of(
-    running: &mut Running,
-) -> Result<Result<Reached, DeviceError>, oneshot::error::RecvError> {
+async fn end_of(running: &mut Running) -> Result<Result<Reached, DeviceError>, oneshot::error::RecvError> {
     match running {
         Some(answer) => answer.await,
         None => std::future::pending().await,

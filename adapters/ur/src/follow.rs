@@ -30,7 +30,11 @@ impl UrArm {
         timeout: Duration,
     ) -> Result<(), DeviceError> {
         let device = || self.name();
-        let silent = || DeviceError::Timeout { device: device(), operation: "the next pose to follow", after: silence };
+        let silent = || DeviceError::Timeout {
+            device: device(),
+            operation: "the next pose to follow",
+            after: silence,
+        };
         // Nothing is begun before there is somewhere to go.
         let mut to = match goals.next(silence).await {
             Goal::Pose(to) => to,

@@ -12,8 +12,8 @@ use tokio::sync::Mutex;
 
 use super::servo_client::RemoteServo;
 use super::{
-    ActuatorFacts, Answer, BoxRecord, EmptyReason, GraspPlanner, GraspServo, HandFacts, NoGrasp, PlannedGrasp,
-    PlannerError, Question, ReachingChoice, ServoQuestion,
+    ActuatorFacts, Answer, BoxRecord, EmptyReason, GraspPlanner, GraspServo, HandFacts, NoGrasp,
+    PlannedGrasp, PlannerError, Question, ReachingChoice, ServoQuestion,
 };
 use crate::frame::{DEPTH_SCALE_M, Frame};
 use crate::pose::PoseRecord;

@@ -39,8 +39,7 @@ impl GraspServo for RemoteServo {
             wrist_pose: Some(pose_message(&PoseRecord::from(frame.world_from_hand))),
             joint_positions: frame.joints.to_vec(),
         };
-        let message =
-            wire::ServoFrame { sequence: frame.sequence, frame: Some(message), hand: Some(hand) };
+        let message = wire::ServoFrame { sequence: frame.sequence, frame: Some(message), hand: Some(hand) };
         match self.stream.send(message).await {
             Ok(()) => Ok(()),
             // Why it has ended is told on the other side.

@@ -6,9 +6,7 @@ use super::palm::PalmFrame;
 use crate::frame::Frame;
 use crate::outcome::{FailureClass, Outcome};
 use crate::plan::{Answer, PlannedGrasp, Question};
-use crate::record::{
-    AnswerRecord, AttemptRecord, Chosen, OutOfReach, ServoRecord, StepRecord, frame_stem,
-};
+use crate::record::{AnswerRecord, AttemptRecord, Chosen, OutOfReach, ServoRecord, StepRecord, frame_stem};
 use crate::witness::Witnessed;
 
 /// A grasp this near to one that failed would fail again: metres, radians.

@@ -17,8 +17,8 @@ use super::{Next, Run};
 use crate::config::ServoConfig;
 use crate::outcome::Outcome;
 use crate::plan::{
-    Answer, EmptyReason, GraspServo, NoGrasp, PlannerError, ServoAnswer, ServoFrame,
-    ServoQuestion, ServoState,
+    Answer, EmptyReason, GraspServo, NoGrasp, PlannerError, ServoAnswer, ServoFrame, ServoQuestion,
+    ServoState,
 };
 use crate::record::ServoRecord;
 use crate::steps::{Step, Trouble};
@@ -98,10 +98,10 @@ impl Run<'_> {
         let limit = seconds(self.config.timeouts.plan_s);
         let answer = answered(limit, servoing.stream.next()).await?;
         servoing.joints.clone_from(&answer.open_joints);
-        let no_grasp = answer.grasp.is_none().then(|| NoGrasp {
-            reason: EmptyReason::named(&answer.reason),
-            nearest_fix: String::new(),
-        });
+        let no_grasp = answer
+            .grasp
+            .is_none()
+            .then(|| NoGrasp { reason: EmptyReason::named(&answer.reason), nearest_fix: String::new() });
         let hand_revision = self.facts.revision.clone();
         let plan_s = answer.age.as_secs_f64();
         let whole = Answer {
@@ -260,8 +260,8 @@ impl Run<'_> {
         record.standoff_m = answer.standoff_m;
         record.last.clone_from(&answer.reason);
         if let (Some(before), Some(now)) = (self.attempt.first_grasp(), &answer.grasp) {
-            let apart =
-                now.world_from_hand.isometry().translation.vector - before.world_from_hand.isometry().translation.vector;
+            let apart = now.world_from_hand.isometry().translation.vector
+                - before.world_from_hand.isometry().translation.vector;
             if let Some(record) = &mut self.attempt.servo {
                 record.drift_m = apart.norm();
             }

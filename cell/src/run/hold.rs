@@ -95,7 +95,13 @@ impl Run<'_> {
         self.holding = Holding::Nothing;
         if self.attempt.inside {
             let back = self.chosen()?.world_from_pregrasp.isometry();
-            let moved = self.move_linear(&back, Pace::Approach).await;
+            let moved = match self.move_linear(&back, Pace::Approach).await {
+                // No straight line leads out, as next to a singularity: the joints' own way is better than a person's.
+                Err(problem) if problem.trouble == Trouble::OutOfReach => {
+                    self.move_to(&back, Pace::Approach).await
+                }
+                moved => moved,
+            };
             self.notice_wedge(moved)?;
             self.attempt.inside = false;
         }

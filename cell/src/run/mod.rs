@@ -31,8 +31,8 @@ use crate::witness::Witness;
 
 use attempt::Attempt;
 use calls::Problem;
-use follow::Servoing;
 pub(crate) use calls::{answered, seconds};
+use follow::Servoing;
 pub(crate) use look::looking;
 pub(crate) use picker::{Chosen, Picker};
 pub(crate) use question::Asked;

@@ -264,7 +264,11 @@ impl DepthCamera for Shared {
             lens: Lens { fx_px: 5.0, fy_px: 5.0, cx_px: 1.5, cy_px: 1.0, distortion: [0.0; 8] },
             world_from_camera: None,
             sequence: world.exposure,
-            stamp: if world.palm_camera { Duration::from_millis(50 * world.exposure) } else { Duration::ZERO },
+            stamp: if world.palm_camera {
+                Duration::from_millis(50 * world.exposure)
+            } else {
+                Duration::ZERO
+            },
             age: Duration::from_millis(20),
         })
     }
@@ -390,7 +394,8 @@ impl Arm for Shared {
         loop {
             match goals.next(silence).await {
                 Goal::Pose(to) => {
-                    if let Some(fault) = self.due("follow", &[Fault::Stop, Fault::OutOfRange, Fault::Timeout]) {
+                    if let Some(fault) = self.due("follow", &[Fault::Stop, Fault::OutOfRange, Fault::Timeout])
+                    {
                         let device = "arm".to_owned();
                         return Err(match fault {
                             Fault::Stop => {
@@ -413,7 +418,11 @@ impl Arm for Shared {
                     }
                 }
                 Goal::Silence => {
-                    return Err(DeviceError::Timeout { device: "arm".into(), operation: "follow", after: silence });
+                    return Err(DeviceError::Timeout {
+                        device: "arm".into(),
+                        operation: "follow",
+                        after: silence,
+                    });
                 }
                 Goal::End => return Ok(()),
             }
@@ -597,7 +606,13 @@ impl GraspServo for ScriptedServo {
         let Some(sequence) = self.newest.take() else { return pending().await };
         let due = self.shared.due(
             "servo",
-            &[Fault::PlannerAway, Fault::TargetLost, Fault::StreamBreaks, Fault::StreamSilent, Fault::NoGrasp],
+            &[
+                Fault::PlannerAway,
+                Fault::TargetLost,
+                Fault::StreamBreaks,
+                Fault::StreamSilent,
+                Fault::NoGrasp,
+            ],
         );
         let (empty, open) = {
             let world = self.shared.world();

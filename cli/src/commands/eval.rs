@@ -4,6 +4,7 @@ mod ap;
 mod calibration;
 mod clear;
 mod contacts;
+mod diversity;
 mod look;
 mod objects;
 mod precision;
@@ -34,6 +35,7 @@ enum What {
     Servo(servo::ServoArgs),
     Look(look::LookArgs),
     Contacts(contacts::ContactsArgs),
+    Diversity(diversity::DiversityArgs),
     Calibration(calibration::CalibrationArgs),
     Thresholds(thresholds::ThresholdsArgs),
 }
@@ -49,6 +51,7 @@ pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
         What::Servo(args) => servo::run(args),
         What::Look(args) => look::run(args),
         What::Contacts(args) => contacts::run(args),
+        What::Diversity(args) => diversity::run(args),
         What::Calibration(args) => calibration::run(args),
         What::Thresholds(args) => thresholds::run(args),
     }

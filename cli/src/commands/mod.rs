@@ -12,11 +12,17 @@ pub(crate) mod device;
 pub(crate) mod doctor;
 #[cfg(feature = "devices")]
 pub(crate) mod emulate;
+#[cfg(feature = "nats")]
+pub(crate) mod engine;
 #[cfg(feature = "sim")]
 pub(crate) mod eval;
 pub(crate) mod hands;
+#[cfg(feature = "nats")]
+pub(crate) mod lease;
 pub(crate) mod load;
 pub(crate) mod plan;
 pub(crate) mod recalibrate;
 pub(crate) mod replay;
 pub(crate) mod serve;
+#[cfg(feature = "nats")]
+pub(crate) mod worker;

@@ -69,6 +69,9 @@ pub(crate) struct ServeArgs {
     /// Seconds that running requests may take to finish at the end [default: 10]
     #[arg(long, env = "GRASPD_DRAIN_SECONDS", value_name = "SECONDS")]
     drain_seconds: Option<f64>,
+    #[cfg(feature = "nats")]
+    #[command(flatten)]
+    engine: super::engine::EngineArgs,
 }
 
 impl ServeArgs {
@@ -134,7 +137,7 @@ fn record_in(folder: PathBuf) -> RecordConfig {
 }
 
 /// The calibration in a file.
-fn calibration(path: &std::path::Path) -> anyhow::Result<Calibration> {
+pub(super) fn calibration(path: &std::path::Path) -> anyhow::Result<Calibration> {
     let text = std::fs::read_to_string(path).with_context(|| format!("{} cannot be read", path.display()))?;
     Calibration::parse(&text).with_context(|| path.display().to_string())
 }
@@ -169,7 +172,13 @@ pub(crate) fn run(args: &ServeArgs) -> anyhow::Result<()> {
     let config = args.config()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
+        #[cfg(feature = "nats")]
+        let (config, hands) = on_workers(&args.engine, config).await?;
         let server = Server::bind(config).await?;
+        #[cfg(feature = "nats")]
+        if let Some(hands) = hands {
+            hands.follow(server.hands()).await.map_err(|e| anyhow::anyhow!("hands: {e}"))?;
+        }
         let ended = async {
             if let Err(error) = shutdown_signal().await {
                 tracing::error!(%error, "cannot listen for signals; ending");
@@ -177,6 +186,26 @@ pub(crate) fn run(args: &ServeArgs) -> anyhow::Result<()> {
         };
         Ok(server.serve_until(ended).await?)
     })
+}
+
+/// The settings with the engine of a broker, where one is named, and its hands.
+#[cfg(feature = "nats")]
+async fn on_workers(
+    args: &super::engine::EngineArgs,
+    mut config: ServerConfig,
+) -> anyhow::Result<(ServerConfig, Option<std::sync::Arc<graspd_engine_nats::NatsHands>>)> {
+    let Some(broker) = args.connect(graspd_engine_nats::Node::Front).await? else {
+        return Ok((config, None));
+    };
+    anyhow::ensure!(
+        config.calibration.is_none(),
+        "--calibration: found one with --engine, expected none; scores are calibrated by the workers, give it to them"
+    );
+    let engine = graspd_engine_nats::NatsEngine::start(&broker).await;
+    config.engine = Some(engine.map_err(|e| anyhow::anyhow!("the broker: {e}"))?);
+    let hands = graspd_engine_nats::NatsHands::new(&broker);
+    config.hand_store = Some(std::sync::Arc::clone(&hands) as _);
+    Ok((config, Some(hands)))
 }
 
 #[cfg(test)]

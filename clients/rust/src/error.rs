@@ -1,6 +1,7 @@
 //! What a call can end with, as a caller can act on it.
 
 use std::collections::BTreeMap;
+use std::error::Error as _;
 use std::time::Duration;
 
 use tonic::{Code, Status};
@@ -83,6 +84,14 @@ impl From<&Status> for CallError {
         if status.code() == Code::Cancelled && status.message() == "Timeout expired" {
             return Self::late();
         }
+        if broken(status) {
+            return Self {
+                code: Code::Unavailable,
+                reason: "CONNECTION_LOST".to_owned(),
+                message: format!("the connection broke: {}", causes(status)),
+                ..Self::late()
+            };
+        }
         let details = status.get_error_details();
         let (reason, metadata) = details
             .error_info()
@@ -105,6 +114,26 @@ impl From<&Status> for CallError {
             metadata,
         }
     }
+}
+
+/// True for a status that no server sent: a connection or stream that ended in the middle of a call. tonic gives those
+/// codes by which of its layers noticed (`UNKNOWN`, `CANCELLED`); other gRPC libraries say `UNAVAILABLE`.
+fn broken(status: &Status) -> bool {
+    matches!(status.code(), Code::Unknown | Code::Cancelled) && status.source().is_some()
+}
+
+/// What is known of an error, from the outside in, each thing once.
+fn causes(status: &Status) -> String {
+    let mut said = status.message().to_owned();
+    let mut cause = status.source();
+    while let Some(error) = cause {
+        let words = error.to_string();
+        if !said.contains(&words) {
+            said = if said.is_empty() { words } else { format!("{said}: {words}") };
+        }
+        cause = error.source();
+    }
+    said
 }
 
 impl From<Status> for ClientError {

@@ -84,14 +84,7 @@ impl ContactEstimator for Geometric {
         let density = smooth(&grid, &once, &region);
         budget.check()?;
         let floor = volume.table_layer();
-        let body = Body {
-            grid: &grid,
-            group: &group,
-            solid,
-            state: &volume.state,
-            density: &density,
-            floor,
-        };
+        let body = Body { grid: &grid, group: &group, solid, state: &volume.state, density: &density, floor };
         let contacts = contacts(volume, &body, budget);
         budget.check()?;
 

@@ -24,8 +24,8 @@ use crate::scene::Scene;
 const ANOTHER: f64 = 4.0;
 /// A rival is taken for so much more score where that costs little: it is near, or the approach has not begun.
 const LEAST_MARGIN: f64 = 0.03;
-/// A grasp that the newest frames speak against gives way to one that scores so much less than it did when it was taken, not
-/// to a worse one.
+/// A grasp that the newest frames speak against gives way to one that scores at most so much less than it did when it was
+/// taken.
 const AS_GOOD: f64 = 0.1;
 /// Collisions no deeper than this may be the noise of a near view, metres.
 const SHALLOW_M: f64 = 0.01;
@@ -59,7 +59,8 @@ impl Servo {
         let scratch = self.scratch.get_or_insert_with(|| Scratch::new(&model));
         let sizes = StepSizes::default();
         let lengths = lengths(&model, &sizes);
-        let judge = Judge { scene, objective: &objective, allowed: &allowed, options, directions: &self.directions };
+        let judge =
+            Judge { scene, objective: &objective, allowed: &allowed, options, directions: &self.directions };
         let target = f.target.position;
         let judged = |candidate: &Candidate, scratch: &mut Scratch| {
             let grasp = judge.judge(candidate, scratch)?;
@@ -87,12 +88,13 @@ impl Servo {
                 LEAST_MARGIN + (self.options.reconsider_margin - LEAST_MARGIN) * self.standoff.progress()
             }
         };
+        // What this one frame rejects may be noise: another grasp waits for more of that, and must be about as good.
+        let may_replace = turn == Turn::Own || f.against >= self.options.patience;
         let is_better = match (&held, &proposed) {
             (_, Err(_)) => false,
-            (Err(_), Ok(_)) => true,
+            (Err(_), Ok(proposed)) => may_replace && proposed.score >= f.trust - AS_GOOD,
             (Ok(held), Ok(proposed)) => proposed.score >= held.score + margin(proposed),
         };
-        // One that nothing else speaks for need not wait.
         let is_taken = is_better && (held.is_err() || f.rivals.wins(turn));
         let found = if is_taken {
             f.rivals.promote(turn, &mut f.candidate);

@@ -103,7 +103,8 @@ impl Servo {
             seed: self.options.plan.seed ^ self.counters.answered.wrapping_mul(0x9E37_79B9_7F4A_7C15),
             ..self.options.plan.clone()
         };
-        let (plan, best) = search(scene, &self.hand, &options, (SEARCH_JUDGED, rivals::MOST + 1), budget, None);
+        let (plan, best) =
+            search(scene, &self.hand, &options, (SEARCH_JUDGED, rivals::MOST + 1), budget, None);
         let (grasp, candidate, rivals) = chosen(plan, best)?;
         let pivot = Vector3::from(self.hand_pivot());
         let apart = change(&f.grasp.world_from_hand, &grasp.world_from_hand, &pivot);

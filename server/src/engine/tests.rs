@@ -66,6 +66,8 @@ fn engine(scene_room: usize) -> Arc<Engine> {
         calibration: None,
         health: Health::default(),
         tracer: Tracer::default(),
+        elsewhere: None,
+        hand_store: None,
     })
 }
 

@@ -1,17 +1,18 @@
 //! A slot: a thread that takes one job after the other, and what slots and callers share.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 
 use graspd_planner::budget::{Budget as _, Stop};
 use graspd_scheduler::{Fit, JobId, Scheduler, Time};
 
+use super::sync::{Condvar, Cores, Mutex, MutexGuard};
 use super::{Gate, Look, PoolError, SceneRoom, Turn};
 use crate::deadline::CallBudget;
 
 /// Runs a job and gives back what tells its caller, to be called when the slot is free again.
-pub(super) type Run = Box<dyn FnOnce(&rayon::ThreadPool, Turn) -> Box<dyn FnOnce() + Send> + Send>;
+pub(super) type Run = Box<dyn FnOnce(&Cores, Turn) -> Box<dyn FnOnce() + Send> + Send>;
 pub(super) type Refuse = Box<dyn FnOnce(PoolError) + Send>;
 
 /// A job as the scheduler keeps it.
@@ -134,7 +135,7 @@ impl Shared {
 }
 
 /// The life of a slot: take the first job, run it, until the pool is closed.
-pub(super) fn run_slot(shared: &Arc<Shared>, rayon: &rayon::ThreadPool, room_limit: usize) {
+pub(super) fn run_slot(shared: &Arc<Shared>, cores: &Cores, room_limit: usize) {
     let mut state = shared.lock();
     loop {
         let now = shared.now();
@@ -151,7 +152,7 @@ pub(super) fn run_slot(shared: &Arc<Shared>, rayon: &rayon::ThreadPool, room_lim
             let Job { budget, run, gate, refuse } = job;
             drop((gate, refuse));
             let turn = Turn::new(Arc::clone(shared), id, SceneRoom::new(Arc::clone(shared), room));
-            let tell = run(rayon, turn);
+            let tell = run(cores, turn);
             if let Some(since) = budget.cancelled_for() {
                 let us = u64::try_from(since.as_micros()).unwrap_or(u64::MAX);
                 shared.slowest_release_us.fetch_max(us, Ordering::Relaxed);

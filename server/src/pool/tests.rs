@@ -1,5 +1,8 @@
 //! Tests of the planning pool: order, refusal, death in the queue, panics, the end.
 
+// Under `shuttle` the pool's threads are not the system's.
+#![cfg(not(feature = "shuttle"))]
+
 use std::sync::mpsc;
 
 use super::*;

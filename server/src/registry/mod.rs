@@ -1,11 +1,14 @@
 //! The hands of a server by id: those that are compiled in, those of a folder, and those that were created.
 
 mod folder;
+mod shared;
 mod source;
 mod upload;
 
 pub use folder::{FolderError, read_hand_dir};
-pub(crate) use source::load_files;
+pub(crate) use shared::encode_files;
+pub use shared::{HandStore, HandSync, StoreError, StoredHand};
+pub(crate) use source::{Loaded, load_files};
 pub(crate) use upload::Upload;
 
 use std::collections::BTreeMap;
@@ -132,12 +135,8 @@ impl Registry {
         upload: Option<(Flow, String)>,
     ) -> Result<Entry, ServiceError> {
         let mut hands = self.write();
-        if let Some(entry) = hands.get(&hand.id)
-            && upload.is_some()
-            && entry.upload == upload
-        {
-            let same = entry.hand.revision == hand.revision;
-            return if same { Ok(entry.clone()) } else { Err(ServiceError::RequestIdReused) };
+        if let Some(entry) = repeated(&hands, &hand, upload.as_ref()) {
+            return entry;
         }
         check_room(&hands, &hand.id)?;
         let id = hand.id.clone();
@@ -145,6 +144,53 @@ impl Registry {
         let entry = Entry { hand: Arc::new(hand), origin: Origin::Created, created, upload };
         hands.insert(id, entry.clone());
         Ok(entry)
+    }
+
+    /// The hand that the same upload has created, if it has.
+    ///
+    /// # Errors
+    /// [`ServiceError::RequestIdReused`] for other files under that name.
+    pub(crate) fn find_repeated(
+        &self,
+        hand: &Hand,
+        upload: Option<&(Flow, String)>,
+    ) -> Result<Option<Entry>, ServiceError> {
+        repeated(&self.read(), hand, upload).transpose()
+    }
+
+    /// Adds a hand that was created elsewhere, or puts it in the place of one that was.
+    ///
+    /// # Errors
+    /// [`ServiceError::HandProtected`] for one that comes with the server, or [`ServiceError::TooManyHands`].
+    pub(crate) fn put(
+        &self,
+        hand: Hand,
+        created: SystemTime,
+        upload: Option<(Flow, String)>,
+    ) -> Result<Entry, ServiceError> {
+        let mut hands = self.write();
+        match hands.get(&hand.id).map(|entry| entry.origin) {
+            Some(Origin::Library | Origin::Folder) => {
+                return Err(ServiceError::HandProtected { id: hand.id });
+            }
+            Some(Origin::Created) => {}
+            None => check_room(&hands, &hand.id)?,
+        }
+        let id = hand.id.clone();
+        let entry = Entry { hand: Arc::new(hand), origin: Origin::Created, created: Some(created), upload };
+        hands.insert(id, entry.clone());
+        Ok(entry)
+    }
+
+    /// Says whether a hand of that id may be deleted.
+    ///
+    /// # Errors
+    /// As [`Registry::delete`].
+    pub(crate) fn check_deletable(&self, id: &str) -> Result<(), ServiceError> {
+        match self.get(id)?.origin {
+            Origin::Created => Ok(()),
+            Origin::Library | Origin::Folder => Err(ServiceError::HandProtected { id: id.to_owned() }),
+        }
     }
 
     /// Removes a hand that was created. Work in progress keeps its own reference and ends normally.
@@ -171,6 +217,16 @@ impl Registry {
     fn write(&self) -> RwLockWriteGuard<'_, BTreeMap<String, Entry>> {
         self.hands.write().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+fn repeated(
+    hands: &BTreeMap<String, Entry>,
+    hand: &Hand,
+    upload: Option<&(Flow, String)>,
+) -> Option<Result<Entry, ServiceError>> {
+    let entry = hands.get(&hand.id).filter(|entry| upload.is_some() && entry.upload.as_ref() == upload)?;
+    let same = entry.hand.revision == hand.revision;
+    Some(if same { Ok(entry.clone()) } else { Err(ServiceError::RequestIdReused) })
 }
 
 fn check_room(hands: &BTreeMap<String, Entry>, id: &str) -> Result<(), ServiceError> {

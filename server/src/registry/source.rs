@@ -14,6 +14,8 @@ pub(crate) struct Loaded {
     pub(crate) hand: Hand,
     /// The description that was written because the files had none.
     pub(crate) proposed_toml: Option<String>,
+    /// Its files, that description among them.
+    pub(crate) files: HandFiles,
 }
 
 /// Every hand that is compiled in.
@@ -30,5 +32,5 @@ pub(crate) fn load_files(id: &str, mut files: HandFiles) -> Result<Loaded, HandE
         files.files.insert(TOML.to_owned(), toml.clone().into_bytes());
         proposed_toml = Some(toml);
     }
-    Ok(Loaded { hand: Hand::load(id, &files)?, proposed_toml })
+    Ok(Loaded { hand: Hand::load(id, &files)?, proposed_toml, files })
 }

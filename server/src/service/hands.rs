@@ -1,6 +1,7 @@
 //! `graspd.v1.HandService`.
 
 use std::sync::Arc;
+use std::time::SystemTime;
 
 use graspd_hands::HandError;
 use graspd_proto::v1;
@@ -11,8 +12,8 @@ use super::{caller, clock};
 use crate::convert::{geometry_message, hand_id, hand_message, quoted};
 use crate::engine::Engine;
 use crate::error::{FieldError, HandProblem, ServiceError};
-use crate::pool::Order;
-use crate::registry::{Entry, Origin, Upload, is_hand_id, load_files};
+use crate::pool::{Flow, Order};
+use crate::registry::{Entry, Loaded, Origin, StoredHand, Upload, encode_files, is_hand_id, load_files};
 use crate::status;
 
 /// Page size when the caller names none.
@@ -102,16 +103,16 @@ impl HandService for HandApi {
             .finish(&budget, ticket)
             .await
             .map_err(|e| ServiceError::of_pool(&e, || clock.elapsed()))?;
-        let loaded = loaded.map_err(|e| hand_error(&e))?;
+        let mut loaded = loaded.map_err(|e| hand_error(&e))?;
+        let proposed_hand_toml = loaded.proposed_toml.take().unwrap_or_default();
         let hand = if validate_only {
             hand_message(&loaded.hand, Origin::Created, None)
         } else {
-            let entry = self.engine.registry.create_by(loaded.hand, repeatable)?;
+            let entry = self.create(loaded, repeatable).await?;
             self.engine.health.hand_created(&entry.hand.id).await;
             tracing::info!(hand = entry.hand.id, revision = entry.hand.revision, "hand created");
             message(&entry)
         };
-        let proposed_hand_toml = loaded.proposed_toml.unwrap_or_default();
         Ok(Response::new(v1::CreateHandResponse { hand: Some(hand), proposed_hand_toml }))
     }
 
@@ -120,10 +121,41 @@ impl HandService for HandApi {
         request: Request<v1::DeleteHandRequest>,
     ) -> Result<Response<v1::DeleteHandResponse>, Status> {
         let id = hand_id(&request.into_inner().name, "name").map_err(ServiceError::from)?;
-        self.engine.registry.delete(&id)?;
+        if let Some(store) = &self.engine.hand_store {
+            self.engine.registry.check_deletable(&id)?;
+            store.delete(&id).await.map_err(|e| e.of(&id))?;
+        }
+        match self.engine.registry.delete(&id) {
+            // The store's own news may have come first.
+            Err(ServiceError::UnknownHand { .. }) if self.engine.hand_store.is_some() => {}
+            deleted => deleted?,
+        }
         self.engine.health.hand_deleted(&id).await;
         tracing::info!(hand = id, "hand deleted");
         Ok(Response::new(v1::DeleteHandResponse {}))
+    }
+}
+
+impl HandApi {
+    /// Adds a hand, here and in the store that is shared, if there is one.
+    async fn create(&self, loaded: Loaded, upload: Option<(Flow, String)>) -> Result<Entry, ServiceError> {
+        let Loaded { hand, files, .. } = loaded;
+        let registry = &self.engine.registry;
+        let Some(store) = &self.engine.hand_store else { return registry.create_by(hand, upload) };
+        if let Some(entry) = registry.find_repeated(&hand, upload.as_ref())? {
+            return Ok(entry);
+        }
+        registry.check_free(&hand.id)?;
+        let created = SystemTime::now();
+        let stored = StoredHand {
+            id: hand.id.clone(),
+            revision: hand.revision.clone(),
+            created,
+            upload: upload.clone().map(|(flow, request)| (flow.0, request)),
+            files: encode_files(&hand.id, &files),
+        };
+        store.create(stored).await.map_err(|e| e.of(&hand.id))?;
+        registry.put(hand, created, upload)
     }
 }
 

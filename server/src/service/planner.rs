@@ -19,9 +19,8 @@ use crate::answers::{Joined, Leader, RequestKey};
 use crate::caller::Caller;
 use crate::convert::{self, AssignmentJob, HandJobs, Parsed, count_message, duration_message};
 use crate::deadline::{CallClock, CancelOnDrop};
-use crate::engine::{Answer, Call, Engine, OnBetter, Repeatable, Task};
+use crate::engine::{Answer, Begun, Call, Engine, OnBetter, Repeatable, Task, Wire};
 use crate::error::{FieldError, ServiceError};
-use crate::pool::Ticket;
 use crate::recorder::CallRecord;
 use crate::status;
 
@@ -48,6 +47,7 @@ impl PlannerService for PlannerApi {
         name_in_log(&request.request_id);
         let asked = asked(&request.request_id, &request);
         let record = self.record(request.record, &clock, || Recorded::PlanGrasps(request.clone()));
+        let wire = self.engine.wire(&request, &caller.name);
         let Parsed { scene, jobs, request_id } =
             convert::plan_grasps(request, "").map_err(ServiceError::from)?;
         let task = self.engine.task(&caller, jobs)?;
@@ -55,8 +55,8 @@ impl PlannerService for PlannerApi {
         let _cancel = call.budget.cancel_on_drop();
         let repeatable = repeatable(request_id, &caller, asked);
         let plan = async || {
-            let ticket = self.engine.submit_single(&call, &task, None)?;
-            let mut answer = self.engine.answer(&call, &task, ticket).await;
+            let begun = self.engine.begin_single(&call, &task, wire, None).await?;
+            let mut answer = begun.answer.await;
             self.engine.leaves_alone(record, &task, &mut answer);
             answer
         };
@@ -75,6 +75,7 @@ impl PlannerService for PlannerApi {
         name_in_log(&plan.request_id);
         let asked = asked(&plan.request_id, &plan);
         let record = self.record(plan.record, &clock, || Recorded::PlanGrasps(plan.clone()));
+        let wire = self.engine.wire(&plan, &caller.name);
         let Parsed { scene, jobs, request_id } =
             convert::plan_grasps(plan, "plan").map_err(ServiceError::from)?;
         let task = self.engine.task(&caller, jobs)?;
@@ -89,7 +90,7 @@ impl PlannerService for PlannerApi {
             Some(Joined::Follow(_) | Joined::Answered(_)) => {
                 let engine = Arc::clone(&self.engine);
                 let stream = GraspStream { engine, call, task, record, sender, _cancel: cancel };
-                tokio::spawn(stream.repeat(repeatable));
+                tokio::spawn(stream.repeat(repeatable, wire));
                 return Ok(Response::new(Box::pin(ReceiverStream::new(receiver))));
             }
         };
@@ -98,10 +99,10 @@ impl PlannerService for PlannerApi {
             // Nobody may be listening any more; the budget tells the planner so.
             better.send(Some(response)).ok();
         });
-        let ticket = self.engine.submit_single(&call, &task, Some(on_better))?;
+        let begun = self.engine.begin_single(&call, &task, wire, Some(on_better)).await?;
         let engine = Arc::clone(&self.engine);
         let stream = GraspStream { engine, call, task, record, sender, _cancel: cancel };
-        tokio::spawn(stream.run(ticket, improved, leader));
+        tokio::spawn(stream.run(begun, improved, leader));
         Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
     }
 
@@ -114,44 +115,27 @@ impl PlannerService for PlannerApi {
         name_in_log(&request.request_id);
         let asked = asked(&request.request_id, &request);
         let mut record = self.record(request.record, &clock, || Recorded::PlanMultiHand(request.clone()));
+        let wire = self.engine.wire(&request, &caller.name);
         let is_recorded = record.is_some();
         let Parsed { scene, jobs, request_id } = convert::multi_hand(request).map_err(ServiceError::from)?;
         let HandJobs { jobs, assignment } = jobs;
-        let mut tasks =
+        let tasks =
             jobs.into_iter().map(|job| self.engine.task(&caller, job)).collect::<Result<Vec<_>, _>>()?;
         let call = self.engine.call(clock, &caller, scene)?;
         let cancel = call.budget.cancel_on_drop();
         let repeatable = repeatable(request_id, &caller, asked);
-        let ticket = self.engine.submit_scene(&call, &tasks)?;
-        // A frame that cannot be read is an error of the call, so the stream begins when the scene is there.
-        let read = match self.engine.scene(&call, ticket).await {
-            Ok(read) => Ok(read),
-            Err(late @ ServiceError::Deadline { .. }) => Err(late),
-            Err(error) => return Err(error.into()),
-        };
         let (sender, receiver) = mpsc::channel(tasks.len() + 1);
+        let plannings = self.engine.begin_hands(&call, tasks, wire, repeatable.is_none()).await?;
         let engine = Arc::clone(&self.engine);
         tokio::spawn(async move {
             let _cancel = cancel;
             let mut answers = JoinSet::new();
-            engine.quickest_first(&mut tasks);
-            for task in tasks {
-                let (engine, call, read) = (Arc::clone(&engine), call.clone(), read.clone());
-                // Queued here, in this order; what may have an answer already is only queued if it has none.
-                let queued = match (&repeatable, &read) {
-                    (None, Ok(read)) => Some(engine.submit_hand(&call, read, &task)),
-                    _ => None,
-                };
+            for (task, planning) in plannings {
+                let engine = Arc::clone(&engine);
                 let repeatable = repeatable.as_ref().map(|r| r.task(&task));
                 answers.spawn(async move {
                     let plan = async || {
-                        // From here on the scene lives as long as the jobs that need it.
-                        let ticket = match (queued, read) {
-                            (Some(queued), _) => queued?,
-                            (None, Ok(read)) => engine.submit_hand(&call, &read, &task)?,
-                            (None, Err(late)) => return call.without_scene(late, &task),
-                        };
-                        let mut answer = engine.answer(&call, &task, ticket).await;
+                        let mut answer = planning().await;
                         engine.leaves(is_recorded, &mut answer);
                         answer
                     };
@@ -159,7 +143,6 @@ impl PlannerService for PlannerApi {
                     (task, answer)
                 });
             }
-            drop(read);
             tokio::select! {
                 biased;
                 () = sender.closed() => {}
@@ -284,16 +267,15 @@ struct GraspStream {
 impl GraspStream {
     async fn run(
         mut self,
-        ticket: Ticket<Answer>,
+        begun: Begun,
         mut improved: watch::Receiver<Option<v1::PlanGraspsResponse>>,
         leader: Option<Leader>,
     ) {
-        let accepted = v1::Accepted { queue_position: count_message(ticket.position) };
+        let accepted = v1::Accepted { queue_position: count_message(begun.position) };
         if !self.send(Ok(stream_grasps_response::Event::Accepted(accepted))).await {
             return;
         }
-        let answer = self.engine.answer(&self.call, &self.task, ticket);
-        tokio::pin!(answer);
+        let mut answer = begun.answer;
         let expired = self.call.answer_due();
         tokio::pin!(expired);
         let mut more = true;
@@ -329,15 +311,15 @@ impl GraspStream {
 
     /// The answer of the call that has the same id, without what it found on the way; this one plans only if that
     /// one ends without an answer.
-    async fn repeat(mut self, repeatable: Option<Repeatable>) {
+    async fn repeat(mut self, repeatable: Option<Repeatable>, wire: Option<Wire>) {
         let accepted = v1::Accepted { queue_position: 0 };
         if !self.send(Ok(stream_grasps_response::Event::Accepted(accepted))).await {
             return;
         }
         let record = self.record.take();
         let plan = async || {
-            let ticket = self.engine.submit_single(&self.call, &self.task, None)?;
-            let mut answer = self.engine.answer(&self.call, &self.task, ticket).await;
+            let begun = self.engine.begin_single(&self.call, &self.task, wire, None).await?;
+            let mut answer = begun.answer.await;
             self.engine.leaves_alone(record, &self.task, &mut answer);
             answer
         };

@@ -17,16 +17,27 @@ pub(crate) struct TraceContext {
 impl TraceContext {
     /// The context that a call brings, or a new one where it brings none that is valid.
     pub(crate) fn of_call(headers: &HeaderMap) -> Self {
-        let span_id = crate::random::bytes();
         // More than one header is not valid.
         let mut all = headers.get_all("traceparent").iter();
         let given = all.next().filter(|_| all.next().is_none());
-        match given.and_then(|value| value.to_str().ok()).and_then(parse) {
+        Self::of_text(given.and_then(|value| value.to_str().ok()))
+    }
+
+    /// The same of the header's value.
+    pub(crate) fn of_text(traceparent: Option<&str>) -> Self {
+        let span_id = crate::random::bytes();
+        match traceparent.and_then(parse) {
             Some((trace_id, parent, is_sampled)) => {
                 Self { trace_id, span_id, parent: Some(parent), is_sampled }
             }
             None => Self { trace_id: crate::random::bytes(), span_id, parent: None, is_sampled: true },
         }
+    }
+
+    /// The header's value for what is part of this call's span.
+    pub(crate) fn traceparent(&self) -> String {
+        let span: String = self.span_id.iter().map(|byte| format!("{byte:02x}")).collect();
+        format!("00-{}-{span}-{:02x}", self.id_text(), u8::from(self.is_sampled))
     }
 
     /// The trace's id, 32 hexadecimal digits.
@@ -78,6 +89,8 @@ mod tests {
         assert_eq!(context.parent, Some([0x00, 0xf0, 0x67, 0xaa, 0x0b, 0xa9, 0x02, 0xb7]));
         assert!(context.is_sampled && context.span_id != [0; 8]);
         assert!(!of(&GIVEN.replace("-01", "-00")).is_sampled);
+        let next = TraceContext::of_text(Some(&context.traceparent()));
+        assert_eq!((next.trace_id, next.parent), (context.trace_id, Some(context.span_id)));
         // A later version with more to say.
         assert!(of("cc-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01-what").parent.is_some());
         for wrong in [

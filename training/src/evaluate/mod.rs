@@ -17,6 +17,9 @@ mod report;
 // What a score says about success.
 pub mod calibration;
 
+// What grasps touch objects with.
+pub mod diversity;
+
 // Average precision of the parallel jaw.
 pub mod ap;
 

@@ -90,7 +90,9 @@ mod tests {
 
     #[test]
     fn mcnemar_gives_known_probabilities() {
-        for (a, b, p) in [(0, 0, 1.0), (5, 5, 1.0), (0, 6, 0.03125), (1, 9, 0.021_484_375), (9, 1, 0.021_484_375)] {
+        for (a, b, p) in
+            [(0, 0, 1.0), (5, 5, 1.0), (0, 6, 0.03125), (1, 9, 0.021_484_375), (9, 1, 0.021_484_375)]
+        {
             assert!((mcnemar(a, b) - p).abs() < 1e-12, "{a} {b}: {}", mcnemar(a, b));
         }
         assert!(mcnemar(400, 1600) < 1e-100);

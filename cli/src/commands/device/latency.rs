@@ -123,16 +123,17 @@ pub(super) async fn run(args: &LatencyArgs) -> anyhow::Result<()> {
         writeln!(out, "{}", serde_json::to_string_pretty(&rows)?)?;
         return Ok(());
     }
+    let width = rows.iter().map(|row| row.way.len()).max().unwrap_or(0);
     writeln!(
         out,
-        "{:<44} {:>9} {:>9} {:>9} {:>9} {:>8}",
+        "{:<width$} {:>9} {:>9} {:>9} {:>9} {:>8}",
         "way", "load", "p50 ms", "p99 ms", "most ms", "rate"
     )?;
     for row in &rows {
         let load = if row.load == 0 { "idle".to_owned() } else { format!("{} busy", row.load) };
         let rate = row.rate_hz.map_or_else(String::new, |hz| format!("{hz:.0} Hz"));
         let Row { way, p50_ms, p99_ms, most_ms, .. } = row;
-        writeln!(out, "{way:<44} {load:>9} {p50_ms:>9.2} {p99_ms:>9.2} {most_ms:>9.2} {rate:>8}")?;
+        writeln!(out, "{way:<width$} {load:>9} {p50_ms:>9.2} {p99_ms:>9.2} {most_ms:>9.2} {rate:>8}")?;
     }
     Ok(())
 }

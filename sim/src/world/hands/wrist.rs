@@ -82,7 +82,11 @@ impl Wrist {
     /// Velocity of the reference's origin on its way.
     fn velocity(&self) -> Vector3<f64> {
         let way = self.to.translation.vector - self.from.translation.vector;
-        if self.length > 0.0 && self.done < self.length { way * (self.rate / self.length) } else { Vector3::zeros() }
+        if self.length > 0.0 && self.done < self.length {
+            way * (self.rate / self.length)
+        } else {
+            Vector3::zeros()
+        }
     }
 
     /// Gives the reference of the next step, and the force with which the wrist follows it at most from now on.

@@ -107,7 +107,11 @@ impl Approach<'_> {
             way.note(&answer, took_ms);
             if let (true, State::Replanning(why)) = (announced, answer.state) {
                 let score = answer.grasp.as_ref().map_or(0.0, |g| g.score);
-                replans.push(format!("{sequence} {} {score:.2} {:.0} mm", why.as_str(), 1e3 * answer.standoff_m));
+                replans.push(format!(
+                    "{sequence} {} {score:.2} {:.0} mm",
+                    why.as_str(),
+                    1e3 * answer.standoff_m
+                ));
             }
             if let (None, Some(grasp)) = (&first, &answer.grasp) {
                 first = Some(grasp.clone());

@@ -91,28 +91,21 @@ fn tray(
         let one = |mode: Mode| -> Result<(ServoAttempt, World, Contents), EvaluationError> {
             let (mut world, mut contents) = (scene::from_json(&before)?, contents.clone());
             settle(&mut world, SETTLE_S);
-            let made =
-                attempt(settings, &station, estimator, hand, mode, seed, &mut world, &mut contents)?;
+            let made = attempt(settings, &station, estimator, hand, mode, seed, &mut world, &mut contents)?;
             observer.attempt(&made);
             settle(&mut world, SETTLE_S);
             Ok((made, world, contents))
         };
         let (fixed, dynamic) = (one(Mode::Static)?, one(Mode::Dynamic)?);
         let left = contents.present.len();
-        let pair = Pair {
-            hand: hand.id.clone(),
-            group,
-            run,
-            number,
-            fixed: fixed.0,
-            dynamic: dynamic.0,
-        };
+        let pair = Pair { hand: hand.id.clone(), group, run, number, fixed: fixed.0, dynamic: dynamic.0 };
         observer.pair(&pair);
         pairs.push(pair);
         (world, contents) = if number % 2 == 0 { (fixed.1, fixed.2) } else { (dynamic.1, dynamic.2) };
         if contents.present.len() == left {
             let height = |id| world.pose(id).map_or(0.0, |pose| pose.translation.z);
-            let highest = world.ids().into_iter().enumerate().max_by(|a, b| height(a.1).total_cmp(&height(b.1)));
+            let highest =
+                world.ids().into_iter().enumerate().max_by(|a, b| height(a.1).total_cmp(&height(b.1)));
             if let Some((at, _)) = highest {
                 contents.take(&mut world, at);
                 settle(&mut world, SETTLE_S);

@@ -147,7 +147,11 @@ pub(super) struct Poured {
 }
 
 impl Poured {
-    pub(super) fn new(settings: &ServoSettings, group: Group, run_seed: u64) -> Result<Self, EvaluationError> {
+    pub(super) fn new(
+        settings: &ServoSettings,
+        group: Group,
+        run_seed: u64,
+    ) -> Result<Self, EvaluationError> {
         let objects = match settings.nudge {
             Some(nudge) => group.draw_some(nudge.objects, derive(run_seed, &[0])),
             None => group.draw(derive(run_seed, &[0])),

@@ -1,0 +1,48 @@
+//! Locks, threads and cores of the pool: the system's; with the feature `shuttle` those of a scheduler that runs
+//! one thread at a time and chooses at random which, so that tests see many orders of the same events.
+
+#[cfg(not(feature = "shuttle"))]
+pub(super) use std::sync::{Condvar, Mutex, MutexGuard};
+#[cfg(not(feature = "shuttle"))]
+pub(super) use std::thread;
+
+#[cfg(feature = "shuttle")]
+pub(super) use shuttle::sync::{Condvar, Mutex, MutexGuard};
+#[cfg(feature = "shuttle")]
+pub(super) use shuttle::thread;
+
+/// The cores of a slot: parallel iterators of its jobs run on them.
+#[cfg(not(feature = "shuttle"))]
+pub(super) struct Cores(rayon::ThreadPool);
+
+#[cfg(not(feature = "shuttle"))]
+impl Cores {
+    /// Starts the threads of slot number `slot`.
+    ///
+    /// # Errors
+    /// What the system said.
+    pub(super) fn start(slot: usize, threads: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
+        let builder = rayon::ThreadPoolBuilder::new().num_threads(threads.max(1));
+        builder.thread_name(move |i| format!("plan-{slot}-{i}")).build().map(Self)
+    }
+
+    /// Runs a job on them.
+    pub(super) fn run<R: Send>(&self, job: impl FnOnce() -> R + Send) -> R {
+        self.0.install(job)
+    }
+}
+
+/// Under `shuttle` a job runs in its slot's own thread: others are not that scheduler's.
+#[cfg(feature = "shuttle")]
+pub(super) struct Cores;
+
+#[cfg(feature = "shuttle")]
+impl Cores {
+    pub(super) fn start(_slot: usize, _threads: usize) -> Result<Self, std::convert::Infallible> {
+        Ok(Self)
+    }
+
+    pub(super) fn run<R: Send>(&self, job: impl FnOnce() -> R + Send) -> R {
+        job()
+    }
+}
