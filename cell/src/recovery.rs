@@ -22,6 +22,8 @@ pub enum Recovery {
     LiftToPregrasp,
     /// The attempt has failed: stop, clear the fault, open the hand, straight back along the approach; plan again.
     Retreat,
+    /// Straight back along the approach to where it began; look and plan again.
+    BackOff,
     /// Look and plan again: with another seed, then with any reaching direction.
     PlanAgain,
     /// End the run where everything stands, and say why.
@@ -43,6 +45,9 @@ impl Recovery {
             Self::LiftToPregrasp => "lift to the pre-grasp instead",
             Self::Retreat => {
                 "attempt failed: stop, clear the fault, open the hand, straight back; plan again"
+            }
+            Self::BackOff => {
+                "straight back to where the approach began; look and plan again, as after no grasp"
             }
             Self::PlanAgain => {
                 "look and plan again, with another seed, every second time with any reaching direction, with the floor told \
@@ -84,7 +89,12 @@ pub const TABLE: &[Row] = &[
         first: Recovery::Retry,
         then: Recovery::End,
     },
-    Row { steps: &[Step::Plan], trouble: Trouble::PlannerRefused, first: Recovery::End, then: Recovery::End },
+    Row {
+        steps: &[Step::Plan, Step::Follow],
+        trouble: Trouble::PlannerRefused,
+        first: Recovery::End,
+        then: Recovery::End,
+    },
     Row { steps: &[Step::Plan], trouble: Trouble::NoGrasp, first: Recovery::PlanAgain, then: Recovery::End },
     Row {
         steps: &[Step::Open],
@@ -106,6 +116,33 @@ pub const TABLE: &[Row] = &[
         first: Recovery::Retreat,
         then: Recovery::Retreat,
     },
+    // The stream is broken: the arm stands by then, and the next try begins another one from where the approach began.
+    Row {
+        steps: &[Step::Follow],
+        trouble: Trouble::PlannerAway,
+        first: Recovery::Retry,
+        then: Recovery::BackOff,
+    },
+    Row {
+        steps: &[Step::Follow],
+        trouble: Trouble::PlannerFailed,
+        first: Recovery::Retry,
+        then: Recovery::BackOff,
+    },
+    Row {
+        steps: &[Step::Follow],
+        trouble: Trouble::TargetLost,
+        first: Recovery::BackOff,
+        then: Recovery::BackOff,
+    },
+    Row {
+        steps: &[Step::Follow],
+        trouble: Trouble::OutOfReach,
+        first: Recovery::BackOff,
+        then: Recovery::BackOff,
+    },
+    Row { steps: &[Step::Follow], trouble: Trouble::NoAnswer, first: Recovery::Retry, then: Recovery::End },
+    Row { steps: &[Step::Follow], trouble: Trouble::Stop, first: Recovery::Retreat, then: Recovery::Retreat },
     Row {
         steps: &[Step::Approach],
         trouble: Trouble::NoAnswer,

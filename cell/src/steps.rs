@@ -19,6 +19,8 @@ pub enum Step {
     Open,
     /// The arm goes above the pre-grasp and down to it.
     Pregrasp,
+    /// With a camera in the palm: the hand follows the grasp that every frame refines (Supplementary Note 7, Task 2).
+    Follow,
     /// The arm goes straight to the grasp.
     Approach,
     /// All fingers close until they gain stable contact.
@@ -41,12 +43,13 @@ pub enum Step {
 
 impl Step {
     /// Every step, in order.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::ClearView,
         Self::Capture,
         Self::Plan,
         Self::Open,
         Self::Pregrasp,
+        Self::Follow,
         Self::Approach,
         Self::Close,
         Self::CheckContact,
@@ -66,6 +69,7 @@ impl Step {
             Self::Plan => "plan",
             Self::Open => "open",
             Self::Pregrasp => "pregrasp",
+            Self::Follow => "follow",
             Self::Approach => "approach",
             Self::Close => "close",
             Self::CheckContact => "check_contact",
@@ -122,6 +126,8 @@ pub enum Trouble {
     PlannerRefused,
     /// The planner has no grasp for what it sees.
     NoGrasp,
+    /// What is followed has gone, is hidden, or is not come near to.
+    TargetLost,
     /// The hand feels nothing where it should feel an object.
     NothingHeld,
 }
@@ -139,6 +145,7 @@ impl Trouble {
             Self::PlannerFailed => "planner failed",
             Self::PlannerRefused => "planner refused",
             Self::NoGrasp => "no grasp",
+            Self::TargetLost => "target lost",
             Self::NothingHeld => "nothing held",
         }
     }

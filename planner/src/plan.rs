@@ -36,19 +36,19 @@ pub fn plan(
     budget: &dyn Budget,
     on_better: Option<&mut dyn FnMut(&Plan)>,
 ) -> Plan {
-    search(scene, hand, options, usize::MAX, budget, on_better).0
+    search(scene, hand, options, (usize::MAX, 0), budget, on_better).0
 }
 
-/// [`plan`], and the optimized candidate behind the best grasp, for whoever wants to go on with it. Only the `most`
-/// candidates with the lowest objectives are judged.
+/// [`plan`], and the optimized candidates behind the best so many (`kept`) grasps, for whoever wants to go on with them.
+/// Only the `most` candidates with the lowest objectives are judged.
 pub(crate) fn search(
     scene: &Scene,
     hand: &Hand,
     options: &PlanOptions,
-    most: usize,
+    (most, kept): (usize, usize),
     budget: &dyn Budget,
     mut on_better: Option<&mut dyn FnMut(&Plan)>,
-) -> (Plan, Option<Candidate>) {
+) -> (Plan, Vec<Candidate>) {
     let features = &scene.features;
     let mut stats = PlanStats {
         focal_contacts: features.focal_contacts.len(),
@@ -58,13 +58,13 @@ pub(crate) fn search(
         ..PlanStats::default()
     };
     if let Some(no_grasp) = nothing_to_grasp(scene) {
-        return (Plan { stats, no_grasp: Some(no_grasp), ..Plan::default() }, None);
+        return (Plan { stats, no_grasp: Some(no_grasp), ..Plan::default() }, Vec::new());
     }
     let centroids = wanted(scene, options);
     if centroids.is_empty() {
         let nearest_fix = target_fix(scene, options);
         let no_grasp = Some(NoGrasp { reason: EmptyReason::TargetNotFound, nearest_fix });
-        return (Plan { stats, no_grasp, ..Plan::default() }, None);
+        return (Plan { stats, no_grasp, ..Plan::default() }, Vec::new());
     }
 
     let begin = budget.elapsed();
@@ -87,8 +87,8 @@ pub(crate) fn search(
     };
     let mut batch = Batch::new(&objective, &allowed, &initializer, StepSizes::default());
     let after_init = budget.elapsed();
-    let judge =
-        Judge { scene, objective: &objective, allowed: &allowed, options, directions: Directions::new() };
+    let directions = Directions::new();
+    let judge = Judge { scene, objective: &objective, allowed: &allowed, options, directions: &directions };
 
     let (mut best_score, mut next_look) = (0.0, LOOK_EVERY);
     while !batch.is_finished() {
@@ -113,7 +113,7 @@ pub(crate) fn search(
     let after_optimization = budget.elapsed();
     if [stats.stopped, budget.stop()].contains(&Some(Stop::Cancelled)) {
         stats.stopped = Some(Stop::Cancelled);
-        return (Plan { stats, no_grasp: Some(out_of_time()), ..Plan::default() }, None);
+        return (Plan { stats, no_grasp: Some(out_of_time()), ..Plan::default() }, Vec::new());
     }
     let ranking = rank::rank(&judge, &batch.candidates, most, budget);
     // A budget that ends when all is done has cost nothing: it stopped planning only if something was left out.
@@ -125,7 +125,7 @@ pub(crate) fn search(
     stats.stages.push(("initialize", after_init.saturating_sub(begin)));
     stats.stages.push(("optimize", after_optimization.saturating_sub(after_init)));
     stats.stages.push(("rank", budget.elapsed().saturating_sub(after_optimization)));
-    let best = ranking.best.map(|i| batch.candidates[i].clone());
+    let best = ranking.sources.iter().take(kept).map(|&i| batch.candidates[i].clone()).collect();
     (finish(ranking, stats, &batch, &judge), best)
 }
 
@@ -145,7 +145,7 @@ fn finish(ranking: Ranking, mut stats: PlanStats, batch: &Batch<'_>, judge: &Jud
         )
     });
     stats.rejected = ranking.rejected;
-    let trace = traced(batch, ranking.best);
+    let trace = traced(batch, ranking.sources.first().copied());
     Plan { grasps: ranking.grasps, stats, no_grasp, trace }
 }
 

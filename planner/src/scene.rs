@@ -175,7 +175,8 @@ fn read(
     let observation = observe(&volume, &objects);
     stages.end("volume")?;
 
-    let mut contact_field = estimator.estimate(&volume, budget).map_err(SceneError::Stopped)?;
+    let mut contact_field =
+        estimator.estimate_known(&volume, &solid, &objects, budget).map_err(SceneError::Stopped)?;
     contact_field.validate()?;
     if let Some(region) = &volume.region {
         contact_field.keep_only(region);

@@ -5,6 +5,7 @@ use std::time::Duration;
 use async_trait::async_trait;
 use nalgebra::Isometry3;
 
+use crate::follow::Goals;
 use crate::{DeviceError, FaultKind};
 
 /// What an arm is.
@@ -146,6 +147,26 @@ pub trait Arm: Send + Sync + std::fmt::Debug {
     ) -> Result<Reached, DeviceError> {
         let _ = force_n;
         self.move_linear(world_from_flange, limits, timeout).await.map(|()| Reached::Goal)
+    }
+
+    /// Follows poses of the flange as they come, the newest at a time, on any path that stays within the limits however far
+    /// they are apart (a servo stream). Ends well when nobody leads any more, and the arm stands. Poses must come at least every
+    /// `silence`, the first one too: an arm that hears nothing for so long stops and says so. `timeout` is what beginning and
+    /// ending may take each, not the stream itself. An arm that cannot follow says [`DeviceError::Unsupported`], as this
+    /// default does.
+    ///
+    /// # Errors
+    /// [`DeviceError::OutOfRange`] for a pose out of reach, [`DeviceError::Timeout`] after silence, [`DeviceError::Fault`] when
+    /// the arm stops itself, [`DeviceError::Stopped`] when another motion took its place. The arm has stopped, or stops.
+    async fn follow(
+        &self,
+        goals: Goals,
+        limits: Limits,
+        silence: Duration,
+        timeout: Duration,
+    ) -> Result<(), DeviceError> {
+        let _ = (goals, limits, silence, timeout);
+        Err(DeviceError::Unsupported { device: self.info().name, operation: "follow" })
     }
 
     /// Stops any motion with bounded deceleration. Ends when the arm stands.

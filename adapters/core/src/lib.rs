@@ -13,6 +13,7 @@
 //! Beside the traits stands what several cameras share: [`feed`] (frames from a camera's thread to its callers), [`stamps`]
 //! (a device's clock against ours), [`streaming`] (a thread that streams while somebody looks, and reaches a lost device
 //! again) and [`library`] (where a vendor's library is looked for).
+//! [`follow`] is what arms share that are sent to poses which change while they go.
 //! [`check`] is what all adapters say of wrong settings and of devices that are not as they should be; [`task`] what hands
 //! share whose line is owned by one task.
 //!
@@ -24,6 +25,7 @@ pub mod check;
 mod closing;
 mod error;
 pub mod feed;
+pub mod follow;
 mod hand;
 pub mod library;
 pub mod stamps;

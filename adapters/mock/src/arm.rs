@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use graspd_adapters_core::check::SettingsError;
+use graspd_adapters_core::follow::Goals;
 use graspd_adapters_core::{Arm, ArmInfo, ArmState, DeviceError, Leg, Limits, Reach, Reached};
 use graspd_sim::world::{HandId, WristForce};
 use nalgebra::{Isometry3, Point3};
@@ -66,10 +67,10 @@ impl Default for ArmSettings {
 /// comes of that. It accelerates as the world's arms do (2 m/s²), and refuses motions that may only accelerate less.
 #[derive(Debug)]
 pub struct MockArm {
-    link: Link,
+    pub(crate) link: Link,
     settings: ArmSettings,
     hand: HandId,
-    state: Shared,
+    pub(crate) state: Shared,
 }
 
 impl MockArm {
@@ -127,7 +128,10 @@ impl MockArm {
             let (state, world_from_hand, theirs) = (self.state.clone(), *to, call.clone());
             let speed_m_s = limits.speed_m_s;
             let answer = self.link.shared.request(move |stage, reply| {
-                state.begin(stage, Order { call: theirs, reply, world_from_hand, speed_m_s, contact_n });
+                state.begin(
+                    stage,
+                    Order { call: theirs, reply, world_from_hand, speed_m_s, contact_n, led: false },
+                );
             });
             let answer = answer.await.map_err(|_| self.link.ended())?;
             self.link.back(&call, answer).await
@@ -136,7 +140,7 @@ impl MockArm {
     }
 
     /// What the controller refuses before anything moves.
-    fn check(&self, to: &Isometry3<f64>, limits: Limits) -> Result<(), DeviceError> {
+    pub(crate) fn check(&self, to: &Isometry3<f64>, limits: Limits) -> Result<(), DeviceError> {
         let refuse = |field: &str, found: String, expected: String| {
             let (device, field) = (self.link.device.clone(), field.to_owned());
             Err(DeviceError::OutOfRange { device, field, found, expected })
@@ -233,6 +237,16 @@ impl Arm for MockArm {
             return Err(DeviceError::OutOfRange { device, field, found, expected });
         }
         self.travel("move_until_contact", world_from_flange, limits, Some(force_n), timeout).await
+    }
+
+    async fn follow(
+        &self,
+        goals: Goals,
+        limits: Limits,
+        silence: Duration,
+        timeout: Duration,
+    ) -> Result<(), DeviceError> {
+        self.follow_goals(goals, limits, silence, timeout).await
     }
 
     async fn stop(&self, timeout: Duration) -> Result<(), DeviceError> {

@@ -21,6 +21,8 @@ pub(crate) struct Order {
     pub(crate) speed_m_s: f64,
     /// Force at which it ends as it should; none: it goes on.
     pub(crate) contact_n: Option<f64>,
+    /// One of many that somebody leads along.
+    pub(crate) led: bool,
 }
 
 /// A motion that runs.
@@ -33,6 +35,7 @@ pub(crate) struct Motion {
     goal: Isometry3<f64>,
     speed_m_s: f64,
     pub(crate) contact_n: Option<f64>,
+    pub(crate) led: bool,
     /// The least way that was left, and when it was reached.
     left_m: f64,
     left_at_s: f64,
@@ -50,9 +53,15 @@ impl Motion {
             goal: order.world_from_hand,
             speed_m_s: order.speed_m_s.min(TURNING_M * turn_rad_s),
             contact_n: order.contact_n,
+            led: order.led,
             left_m: f64::INFINITY,
             left_at_s: now_s,
         }
+    }
+
+    /// Takes the place of another that was led along: what was counted counts on.
+    pub(crate) fn go_on_from(&mut self, before: &Self) {
+        (self.began_s, self.path_m) = (before.began_s, before.path_m);
     }
 
     /// Counts the way since it was looked at last.

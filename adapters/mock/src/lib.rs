@@ -56,6 +56,7 @@ mod link;
 // The devices.
 mod arm;
 mod camera;
+mod follow;
 mod grip;
 mod hand;
 mod motion;

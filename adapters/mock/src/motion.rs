@@ -147,7 +147,10 @@ impl ArmCore {
     }
 
     fn begin(&mut self, world: &mut World, order: Order) {
-        self.felt = WristForce::new(self.settings.force_filter_s);
+        let goes_on = order.led && matches!(&self.phase, Phase::Moving(motion) if motion.led);
+        if !goes_on {
+            self.felt = WristForce::new(self.settings.force_filter_s);
+        }
         let last = world.hand_state(self.hand).map(|s| s.world_from_hand.translation.vector);
         let sent = world.command(
             self.hand,
@@ -161,7 +164,12 @@ impl ArmCore {
             let _unheard = order.reply.send(Err(self.gone()));
             return;
         };
-        let motion = Motion::new(order, last, world.time_s(), self.settings.turn_rad_s);
+        let mut motion = Motion::new(order, last, world.time_s(), self.settings.turn_rad_s);
+        if let Phase::Moving(before) = &self.phase
+            && goes_on
+        {
+            motion.go_on_from(before);
+        }
         match std::mem::replace(&mut self.phase, Phase::Moving(motion)) {
             Phase::Moving(old) => {
                 let error = stopped(&old.call);
@@ -335,5 +343,10 @@ impl Process for Drive {
             core.driven = false;
         }
         done
+    }
+
+    fn takes_time(&self) -> bool {
+        // One that is led along goes on while others look; one that nobody leads any more has to brake.
+        !matches!(&self.0.lock().phase, Phase::Moving(motion) if motion.led && !motion.reply.is_closed())
     }
 }

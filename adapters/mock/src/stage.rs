@@ -13,6 +13,11 @@ use crate::clock::Clock;
 pub(crate) trait Process: Send {
     /// Looks at the world after a step, tells it what follows; true when all is done.
     fn after_step(&mut self, world: &mut World) -> bool;
+
+    /// False for one that goes on while others let time go by, and lets none go by itself.
+    fn takes_time(&self) -> bool {
+        true
+    }
 }
 
 /// Looks at the world now and then while it moves; never moves it.
@@ -76,7 +81,7 @@ impl Stage {
 /// What moves the world's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Pace {
-    /// It moves only while a process runs, as fast as the machine can.
+    /// It moves only while a process that takes time runs, as fast as the machine can.
     OnDemand,
     /// It moves all the time, this many times as fast as the wall clock.
     Wall(f64),
@@ -105,7 +110,7 @@ pub(crate) fn run(mut stage: Stage, jobs: &Receiver<Job>, clock: &Arc<Clock>, pa
             Next::Sleep
         } else {
             match pace {
-                Pace::OnDemand if stage.processes.is_empty() => Next::Sleep,
+                Pace::OnDemand if !stage.processes.iter().any(|p| p.takes_time()) => Next::Sleep,
                 Pace::OnDemand => Next::Step,
                 Pace::Wall(speed) => pacer.next(stage.world.time_s(), speed),
             }

@@ -10,6 +10,7 @@ mod config;
 mod dashboard;
 mod diagnose;
 mod events;
+mod follow;
 pub mod kinematics;
 mod plan;
 mod primary;

@@ -134,6 +134,11 @@ impl UrArm {
 }
 
 impl ServoStream<'_> {
+    /// Where the last target has the hand, world frame.
+    pub(crate) fn at(&self) -> Isometry3<f64> {
+        self.arm.world_from_base * self.flange * self.arm.flange_from_hand
+    }
+
     /// Takes the time that a target needs at its allowed speeds; each is what, how far, how fast at most.
     fn spend(&mut self, field: &'static str, ways: &[(&str, f64, f64)]) -> Result<(), DeviceError> {
         let saved = (self.saved_s + self.sent.elapsed().as_secs_f64()).min(MOST_AHEAD_S);

@@ -8,7 +8,8 @@ use std::sync::Mutex;
 use std::time::Duration;
 
 use bench::{Bench, LIMITS, SOON, apart, bench_with, settings};
-use graspd_adapters_core::Limits;
+use graspd_adapters_core::follow::lead;
+use graspd_adapters_core::{Arm as _, DeviceError, Limits};
 use graspd_adapters_emulators::ur::UrSnapshot;
 use graspd_adapters_ur::ServoSettings;
 use graspd_adapters_ur::kinematics::{Kinematics, Model};
@@ -243,4 +244,49 @@ async fn a_stream_of_poses_round_sharp_corners_keeps_the_acceleration_of_the_fla
     assert!(seen.flange_acceleration > 0.5 * limits.acceleration_m_s2, "{seen:?}");
     assert!(seen.flange_acceleration < 1.1 * limits.acceleration_m_s2, "{seen:?}");
     assert!(seen.flange < 1.03 * limits.speed_m_s && seen.acceleration < 1.1 * ACCELERATION, "{seen:?}");
+}
+
+/// Poses come as a planner sends them, centimetres apart and a tenth of a second after each other.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn poses_far_apart_are_followed_within_the_bounds_until_nobody_leads() {
+    let bench = bounded_by(0.8).await;
+    let limits = Limits { speed_m_s: 0.2, acceleration_m_s2: 0.8 };
+    let mut last = bench.flange();
+    let seen = watched(&bench, async {
+        let (lead, goals) = lead();
+        let leading = async {
+            for way in [[0.0, 0.0, -0.06], [0.05, 0.03, -0.06], [0.0, 0.03, 0.0], [0.0, 0.0, -0.02]] {
+                last = bench.flange();
+                last.translation.vector += Vector3::from(way);
+                for _ in 0..8 {
+                    assert!(lead.to(&last), "it follows no more");
+                    tokio::time::sleep(Duration::from_millis(100)).await;
+                }
+            }
+            drop(lead);
+        };
+        let (followed, ()) = tokio::join!(bench.arm.follow(goals, limits, SOON, SOON), leading);
+        followed.unwrap();
+    })
+    .await;
+    assert!(!bench.moves(), "it stands");
+    assert!(apart(&bench.flange(), &last) < 2e-3, "{}", apart(&bench.flange(), &last));
+    assert!(seen.samples > 100 && seen.flange > 0.08, "{seen:?}");
+    assert!(seen.flange < 1.03 * limits.speed_m_s, "{seen:?}");
+    assert!(seen.flange_acceleration < 1.1 * limits.acceleration_m_s2, "{seen:?}");
+    assert!(seen.speed < 1.02 * SPEED && seen.acceleration < 1.1 * ACCELERATION, "{seen:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_arm_that_follows_stops_when_nobody_leads_it_on_and_says_so() {
+    let bench = bounded().await;
+    let far = bench.beside(0.0, 0.0, 0.25);
+    let limits = Limits { speed_m_s: 0.05, acceleration_m_s2: 1.0 };
+    let (lead, goals) = lead();
+    lead.to(&far);
+    let followed = bench.arm.follow(goals, limits, Duration::from_millis(600), SOON).await;
+    assert!(matches!(followed, Err(DeviceError::Timeout { .. })), "{followed:?}");
+    assert!(!bench.moves() && apart(&bench.flange(), &far) > 0.05);
+    // And is there for whoever comes next.
+    bench.arm.move_linear(&bench.beside(0.0, 0.0, 0.02), LIMITS, SOON).await.unwrap();
 }

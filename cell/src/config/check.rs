@@ -23,6 +23,7 @@ impl CellConfig {
                 return Err(wrong(&field, value, expected));
             }
         }
+        self.check_servo()?;
         let share = |field, x: f64| inside(field, x, x > 0.0 && x <= 1.0, "more than 0, at most 1");
         share("hand.speed", self.hand.speed)?;
         share("hand.force", self.hand.force)?;
@@ -83,6 +84,33 @@ impl CellConfig {
         positive("planner.pregrasp_offset_m", p.pregrasp_offset_m, 1.0)?;
         let tilt = p.max_tilt_rad.unwrap_or(0.0);
         inside("planner.max_tilt_rad", tilt, (0.0..=std::f64::consts::PI).contains(&tilt), "0 to pi")
+    }
+
+    fn check_servo(&self) -> Result<(), ConfigError> {
+        let Some(s) = &self.servo else { return Ok(()) };
+        point("servo.eye_m", &s.eye_m)?;
+        point("servo.looks_at_m", &s.looks_at_m)?;
+        count("servo.iterations", s.iterations, 1..=100)?;
+        count("servo.frames_under_way", s.frames_under_way, 1..=4)?;
+        count("servo.lost_answers", s.lost_answers, 1..=1000)?;
+        let start = s.standoff_start_m;
+        inside("servo.standoff_start_m", start, (0.01..=0.5).contains(&start), "0.01 to 0.5")?;
+        let end = s.standoff_end_m;
+        inside("servo.standoff_end_m", end, (0.0..=start).contains(&end), "0 to servo.standoff_start_m")?;
+        let shrink = s.standoff_speed_m_s;
+        inside("servo.standoff_speed_m_s", shrink, (0.001..=1.0).contains(&shrink), "0.001 to 1")?;
+        positive("servo.speed_m_s", s.speed_m_s, 10.0)?;
+        positive("servo.silence_s", s.silence_s, 60.0)?;
+        let patient = s.answer_s >= s.silence_s && s.answer_s <= 600.0;
+        inside("servo.answer_s", s.answer_s, patient, "servo.silence_s to 600")?;
+        positive("servo.longest_s", s.longest_s, 3600.0)?;
+        if let Some(pose) = &s.hand_from_camera {
+            point("servo.hand_from_camera.position_m", &pose.position_m)?;
+            let norm = pose.orientation_xyzw.iter().map(|c| c * c).sum::<f64>().sqrt();
+            let unit = (norm - 1.0).abs() < 1e-3;
+            inside("servo.hand_from_camera.orientation_xyzw", norm, unit, "a quaternion of length 1")?;
+        }
+        Ok(())
     }
 
     fn check_places(&self) -> Result<(), ConfigError> {

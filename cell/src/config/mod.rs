@@ -5,6 +5,7 @@ mod devices;
 mod load;
 mod places;
 mod rules;
+mod servo;
 
 use serde::{Deserialize, Serialize};
 
@@ -13,6 +14,7 @@ pub use load::{ConfigError, ENVIRONMENT};
 pub use places::{DropConfig, MotionConfig, TrayConfig};
 pub(crate) use rules::seconds;
 pub use rules::{RecordingConfig, RecoveryConfig, RunConfig, TimeoutConfig};
+pub use servo::{ServoConfig, ServoMode};
 
 /// The whole file.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -32,6 +34,9 @@ pub struct CellConfig {
     pub drop: DropConfig,
     /// How the arm moves between them.
     pub motion: MotionConfig,
+    /// The dynamic grasp servo; left out: each grasp is planned from one frame of a camera above the tray.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub servo: Option<ServoConfig>,
     /// How long each call may take.
     pub timeouts: TimeoutConfig,
     /// How much is tried before giving up.

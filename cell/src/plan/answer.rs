@@ -64,6 +64,22 @@ impl EmptyReason {
         matches!(self, Self::NothingSeen | Self::EmptyTable)
     }
 
+    /// The reason of this name; [`EmptyReason::Other`] where there is none.
+    pub fn named(name: &str) -> Self {
+        let known = [
+            Self::NothingSeen,
+            Self::EmptyTable,
+            Self::NoContacts,
+            Self::NoCentroid,
+            Self::TargetNotFound,
+            Self::HandTooSmall,
+            Self::HandTooLarge,
+            Self::AllRejected,
+            Self::OutOfTime,
+        ];
+        known.into_iter().find(|reason| reason.name() == name).unwrap_or(Self::Other)
+    }
+
     /// The reason's name in records and tables.
     pub fn name(self) -> &'static str {
         match self {

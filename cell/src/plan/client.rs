@@ -10,9 +10,10 @@ use graspd_client::{
 use nalgebra::{Unit, Vector3};
 use tokio::sync::Mutex;
 
+use super::servo_client::RemoteServo;
 use super::{
-    ActuatorFacts, Answer, BoxRecord, EmptyReason, GraspPlanner, HandFacts, NoGrasp, PlannedGrasp,
-    PlannerError, Question, ReachingChoice,
+    ActuatorFacts, Answer, BoxRecord, EmptyReason, GraspPlanner, GraspServo, HandFacts, NoGrasp,
+    PlannedGrasp, PlannerError, Question, ReachingChoice, ServoQuestion,
 };
 use crate::frame::{DEPTH_SCALE_M, Frame};
 use crate::pose::PoseRecord;
@@ -88,6 +89,15 @@ impl GraspPlanner for PlannerClient {
         answer(response)
     }
 
+    async fn servo(
+        &self,
+        asked: &ServoQuestion,
+        timeout: Duration,
+    ) -> Result<Box<dyn GraspServo>, PlannerError> {
+        let client = self.client(timeout).await?;
+        Ok(Box::new(RemoteServo::begin(&client, asked).await?))
+    }
+
     async fn plan_together(
         &self,
         frame: &Frame,
@@ -138,7 +148,7 @@ fn task_error(error: &wire::TaskError) -> PlannerError {
     }
 }
 
-fn error(error: ClientError) -> PlannerError {
+pub(super) fn error(error: ClientError) -> PlannerError {
     let text = error.to_string();
     match error.call().map(|call| call.code) {
         None => PlannerError::Away(text),
@@ -159,7 +169,7 @@ fn error(error: ClientError) -> PlannerError {
     }
 }
 
-fn broken(what: &str) -> PlannerError {
+pub(super) fn broken(what: &str) -> PlannerError {
     PlannerError::Failed(format!("the server answered {what}"))
 }
 
@@ -171,7 +181,7 @@ fn vector_message(v: [f64; 3]) -> wire::Vector3 {
     wire::Vector3 { x: v[0], y: v[1], z: v[2] }
 }
 
-fn pose_message(pose: &PoseRecord) -> wire::Pose {
+pub(super) fn pose_message(pose: &PoseRecord) -> wire::Pose {
     let [x, y, z, w] = pose.orientation_xyzw;
     wire::Pose {
         position: Some(vector_message(pose.position_m)),
@@ -179,7 +189,7 @@ fn pose_message(pose: &PoseRecord) -> wire::Pose {
     }
 }
 
-fn request(frame: &Frame, question: &Question) -> Result<PlanGraspsRequest, PlannerError> {
+pub(super) fn request(frame: &Frame, question: &Question) -> Result<PlanGraspsRequest, PlannerError> {
     let info = &frame.info;
     let rectified = info.distortion == [0.0; 8];
     let intrinsics = CameraIntrinsics {
@@ -206,7 +216,7 @@ fn request(frame: &Frame, question: &Question) -> Result<PlanGraspsRequest, Plan
     })
 }
 
-fn scene_options(question: &Question) -> SceneOptions {
+pub(super) fn scene_options(question: &Question) -> SceneOptions {
     SceneOptions {
         estimator: question.estimator.clone(),
         workspace: Some(wire::WorkspacePlacement {
@@ -222,7 +232,7 @@ fn scene_options(question: &Question) -> SceneOptions {
     }
 }
 
-fn plan_options(question: &Question) -> PlanOptions {
+pub(super) fn plan_options(question: &Question) -> PlanOptions {
     let count = |n: u32| i32::try_from(n).unwrap_or(i32::MAX);
     let reaching = match question.reaching {
         ReachingChoice::TopDown => wire::Reaching::TopDown,
@@ -291,7 +301,7 @@ fn reason(reason: wire::NoGraspReason) -> EmptyReason {
     }
 }
 
-fn grasp(grasp: &wire::Grasp) -> Result<PlannedGrasp, PlannerError> {
+pub(super) fn grasp(grasp: &wire::Grasp) -> Result<PlannedGrasp, PlannerError> {
     let actuators = grasp.actuators.as_ref().ok_or_else(|| broken("a grasp without actuators"))?;
     let centroid = vector(grasp.centroid.as_ref(), "centroid")?;
     Ok(PlannedGrasp {
@@ -308,7 +318,7 @@ fn grasp(grasp: &wire::Grasp) -> Result<PlannedGrasp, PlannerError> {
     })
 }
 
-fn pose(message: Option<&wire::PoseInFrame>, field: &str) -> Result<PoseRecord, PlannerError> {
+pub(super) fn pose(message: Option<&wire::PoseInFrame>, field: &str) -> Result<PoseRecord, PlannerError> {
     let missing = || broken(&format!("a grasp without {field}"));
     let pose = message.and_then(|m| m.pose.as_ref()).ok_or_else(missing)?;
     let q = pose.orientation.as_ref().ok_or_else(missing)?;

@@ -3,6 +3,8 @@
 mod answer;
 mod client;
 mod question;
+mod servo;
+mod servo_client;
 
 use std::fmt::Debug;
 use std::time::Duration;
@@ -12,6 +14,7 @@ use async_trait::async_trait;
 pub use answer::{Answer, EmptyReason, NoGrasp, PlannedGrasp};
 pub use client::PlannerClient;
 pub use question::{BoxRecord, Question, ReachingChoice, WorkspaceRecord};
+pub use servo::{GraspServo, ServoAnswer, ServoFrame, ServoQuestion, ServoState};
 
 use crate::frame::Frame;
 use crate::steps::Trouble;
@@ -131,5 +134,18 @@ pub trait GraspPlanner: Send + Sync + Debug {
             answers.push(self.plan(frame, question, timeout).await?);
         }
         Ok(answers)
+    }
+
+    /// Begins to carry one grasp on from frame to frame. A planner that cannot says so, as this default does.
+    ///
+    /// # Errors
+    /// [`PlannerError`].
+    async fn servo(
+        &self,
+        asked: &ServoQuestion,
+        timeout: Duration,
+    ) -> Result<Box<dyn GraspServo>, PlannerError> {
+        let _ = (asked, timeout);
+        Err(PlannerError::Refused("this planner has no servo".to_owned()))
     }
 }

@@ -98,6 +98,30 @@ pub struct OutOfReach {
     pub why: String,
 }
 
+/// What a servo did on the way to a grasp.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ServoRecord {
+    /// Frames that were sent.
+    pub frames: u64,
+    /// Answers that came.
+    pub answers: u64,
+    /// Of these, answers that tracked.
+    pub tracking: u64,
+    /// Grasps that were announced as others, the first included.
+    pub replanned: u64,
+    /// Frames that the planner did not answer.
+    pub unanswered: u64,
+    /// From the first frame to the last answer, seconds.
+    pub took_s: f64,
+    /// How far the grasp has come from the first one, metres.
+    pub drift_m: f64,
+    /// The last stand-off, metres.
+    pub standoff_m: f64,
+    /// What the last answer said besides.
+    pub last: String,
+}
+
 /// One attempt: from the look into the tray to the open hand.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -115,6 +139,9 @@ pub struct AttemptRecord {
     pub out_of_reach: Vec<OutOfReach>,
     /// The grasp that was executed, or was going to be.
     pub chosen: Option<Chosen>,
+    /// What the servo did, where a camera in the palm refined the grasp.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub servo: Option<ServoRecord>,
     /// Every step.
     pub steps: Vec<StepRecord>,
     /// True when the straight approach began: it counts as a grasp trial.

@@ -11,6 +11,6 @@ mod attempt;
 mod folder;
 mod replay;
 
-pub use attempt::{AnswerRecord, AttemptRecord, Chosen, OutOfReach, StepRecord, TroubleRecord};
+pub use attempt::{AnswerRecord, AttemptRecord, Chosen, OutOfReach, ServoRecord, StepRecord, TroubleRecord};
 pub use folder::{Attempts, RecordError, Recorder, RunInfo, frame_stem, read_attempts, read_frame, read_run};
 pub use replay::{Replay, ReplayError, replay};

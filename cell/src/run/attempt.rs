@@ -2,10 +2,11 @@
 
 use nalgebra::Isometry3;
 
+use super::palm::PalmFrame;
 use crate::frame::Frame;
 use crate::outcome::{FailureClass, Outcome};
 use crate::plan::{Answer, PlannedGrasp, Question};
-use crate::record::{AnswerRecord, AttemptRecord, Chosen, OutOfReach, StepRecord, frame_stem};
+use crate::record::{AnswerRecord, AttemptRecord, Chosen, OutOfReach, ServoRecord, StepRecord, frame_stem};
 use crate::witness::Witnessed;
 
 /// A grasp this near to one that failed would fail again: metres, radians.
@@ -16,6 +17,8 @@ const SAME_GRASP: (f64, f64) = (0.01, 0.2);
 pub(super) struct Attempt {
     pub(super) number: u32,
     pub(super) frame: Option<Frame>,
+    /// The same frame, and where the hand was, where the camera is in its palm.
+    pub(super) palm: Option<PalmFrame>,
     pub(super) question: Option<Question>,
     pub(super) answer: Option<Answer>,
     /// Grasps that are not tried, and why.
@@ -24,6 +27,12 @@ pub(super) struct Attempt {
     order: Vec<usize>,
     /// Place in `order`.
     at: usize,
+    /// The first of the grasps that a servo has refined.
+    first: Option<PlannedGrasp>,
+    /// What the servo did.
+    pub(super) servo: Option<ServoRecord>,
+    /// Where the fingers were told to open, in the order of the grasp's actuators.
+    pub(super) opened: Option<Vec<f64>>,
     pub(super) steps: Vec<StepRecord>,
     /// The straight approach began.
     pub(super) trial: bool,
@@ -52,11 +61,15 @@ impl Attempt {
         Self {
             number,
             frame: None,
+            palm: None,
             question: None,
             answer: None,
             out_of_reach: Vec::new(),
             order: Vec::new(),
             at: 0,
+            first: None,
+            servo: None,
+            opened: None,
             steps: Vec::new(),
             trial: false,
             met: false,
@@ -100,6 +113,24 @@ impl Attempt {
         self.answer.as_ref()?.grasps.get(rank).map(|grasp| (rank, grasp))
     }
 
+    /// A servo has refined the grasp.
+    pub(super) fn refine(&mut self, grasp: PlannedGrasp) {
+        let before = self.grasp().map(|(_, grasp)| grasp.clone());
+        if self.first.is_none() {
+            self.first = before;
+        }
+        if let (Some(&rank), Some(answer)) = (self.order.get(self.at), &mut self.answer)
+            && let Some(place) = answer.grasps.get_mut(rank)
+        {
+            *place = grasp;
+        }
+    }
+
+    /// The grasp that a servo began with.
+    pub(super) fn first_grasp(&self) -> Option<&PlannedGrasp> {
+        self.first.as_ref().or_else(|| self.grasp().map(|(_, grasp)| grasp))
+    }
+
     /// Goes to the next grasp; false when there is none.
     pub(super) fn next_grasp(&mut self) -> bool {
         let more = self.at + 1 < self.order.len();
@@ -121,6 +152,7 @@ impl Attempt {
             answer: self.answer.as_ref().map(AnswerRecord::from),
             out_of_reach: self.out_of_reach,
             chosen,
+            servo: self.servo,
             steps: self.steps,
             trial: self.trial,
             felt: self.felt,

@@ -74,6 +74,25 @@ pub(crate) async fn answered<T>(
     tokio::time::timeout(limit + GRACE, call).await.map_err(late)?
 }
 
+/// Waits for a device, so many times longer than it was allowed.
+pub(super) async fn bounded<T>(
+    who: Who,
+    device: &str,
+    operation: &'static str,
+    limit: Duration,
+    patience: f64,
+    call: impl Future<Output = Result<T, DeviceError>>,
+) -> Result<T, Problem> {
+    let after = limit.mul_f64(patience) + GRACE;
+    match tokio::time::timeout(after, call).await {
+        Ok(done) => done.map_err(|e| Problem::of(who, &e)),
+        Err(_) => {
+            let error = DeviceError::Timeout { device: device.to_owned(), operation, after };
+            Err(Problem::of(who, &error))
+        }
+    }
+}
+
 /// Positions of actuators by name in the order of a hand.
 fn in_order(hand: &HandInfo, names: &[String], positions: &[f64]) -> Result<Vec<f64>, Problem> {
     let of = |name: &String| names.iter().position(|n| n == name).and_then(|i| positions.get(i).copied());
@@ -98,7 +117,7 @@ pub(super) enum Pace {
 
 impl Run<'_> {
     /// Waits for a device; not for ever, whatever the device does.
-    async fn within<T>(
+    pub(super) async fn within<T>(
         &self,
         who: Who,
         device: &str,
@@ -106,14 +125,7 @@ impl Run<'_> {
         limit: Duration,
         call: impl Future<Output = Result<T, DeviceError>>,
     ) -> Result<T, Problem> {
-        let patience = limit.mul_f64(self.config.timeouts.patience) + GRACE;
-        match tokio::time::timeout(patience, call).await {
-            Ok(done) => done.map_err(|e| Problem::of(who, &e)),
-            Err(_) => {
-                let error = DeviceError::Timeout { device: device.to_owned(), operation, after: patience };
-                Err(Problem::of(who, &error))
-            }
-        }
+        bounded(who, device, operation, limit, self.config.timeouts.patience, call).await
     }
 
     pub(super) fn limits(&self, pace: Pace) -> Limits {

@@ -19,26 +19,45 @@ impl Run<'_> {
             self.holding = Holding::Nothing;
             self.prepared = true;
         }
-        self.move_to(&self.places.wait, Pace::Travel).await?;
+        let look = self.config.servo.as_ref().filter(|_| !self.led).map(|servo| self.first_look(servo));
+        if look.is_some() {
+            // A camera in the palm looks out between open fingers.
+            self.open_wide().await?;
+        }
+        self.move_to(look.as_ref().unwrap_or(&self.places.wait), Pace::Travel).await?;
         Ok(Next::Go(Step::Capture))
     }
 
     pub(super) async fn capture(&mut self) -> Result<Next, Problem> {
+        if let Some(servo) = self.config.servo.clone() {
+            let palm = self.palm_frame(&servo).await?;
+            self.keep(palm.frame.clone());
+            self.attempt.palm = Some(palm);
+            return Ok(Next::Go(Step::Plan));
+        }
         let device = self.capture_frame().await?;
         self.last_exposure = Some(device.sequence);
         let camera = &self.config.camera;
         let frame = Frame::of(&device, &looking(&camera.position_m, &camera.looks_at_m))
             .map_err(|e| Problem::broken(Who::Camera, e))?;
+        self.keep(frame);
+        Ok(Next::Go(Step::Plan))
+    }
+
+    /// The frame that is planned from.
+    fn keep(&mut self, frame: Frame) {
         if let Some(recorder) = &self.recorder {
             // Small and rare: a thread of its own would cost more than it saves.
             let kept = recorder.frame(self.attempt.number, &frame);
             self.note(kept);
         }
         self.attempt.frame = Some(frame);
-        Ok(Next::Go(Step::Plan))
     }
 
     pub(super) async fn plan(&mut self) -> Result<Next, Problem> {
+        if let Some(servo) = self.config.servo.clone() {
+            return self.servo_plan(&servo).await;
+        }
         if self.attempt.question.is_none() {
             let question = self.question().as_recorded().map_err(|e| Problem::broken(Who::Planner, e))?;
             self.attempt.question = Some(question);

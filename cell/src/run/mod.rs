@@ -2,8 +2,10 @@
 
 mod attempt;
 mod calls;
+mod follow;
 mod hold;
 mod look;
+mod palm;
 mod picker;
 mod question;
 mod reach;
@@ -30,6 +32,7 @@ use crate::witness::Witness;
 use attempt::Attempt;
 use calls::Problem;
 pub(crate) use calls::{answered, seconds};
+use follow::Servoing;
 pub(crate) use look::looking;
 pub(crate) use picker::{Chosen, Picker};
 pub(crate) use question::Asked;
@@ -146,6 +149,7 @@ impl<'a> Run<'a> {
             last_exposure: None,
             failed_poses: Vec::new(),
             prepared: false,
+            servoing: None,
             led: false,
         })
     }
@@ -236,6 +240,8 @@ struct Run<'a> {
     failed_poses: Vec<Isometry3<f64>>,
     /// True once the hand has been emptied at the drop pose.
     prepared: bool,
+    /// The grasp that the planner carries on from frame to frame.
+    servoing: Option<Servoing>,
     /// True for an arm of several: somebody else looks, plans and chooses, and says when it ends.
     led: bool,
 }
@@ -292,6 +298,7 @@ impl Run<'_> {
             Step::Plan => self.plan().await,
             Step::Open => self.open().await,
             Step::Pregrasp => self.pregrasp().await,
+            Step::Follow => self.follow().await,
             Step::Approach => self.approach().await,
             Step::Close => self.close().await,
             Step::CheckContact => self.check_contact().await,

@@ -64,7 +64,9 @@ impl Run<'_> {
     pub(super) async fn open(&mut self) -> Result<Next, Problem> {
         let (names, open) = self.open_posture();
         self.grip(&names, &open).await?;
-        Ok(Next::Go(Step::Pregrasp))
+        self.attempt.opened = Some(open);
+        // A servo leads the hand there.
+        Ok(Next::Go(if self.servoing.is_some() { Step::Follow } else { Step::Pregrasp }))
     }
 
     /// Up, across above everything, and down to the pre-grasp.

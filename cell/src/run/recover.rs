@@ -50,6 +50,13 @@ impl Run<'_> {
                 self.attempt.fail(class, &problem.text);
                 Next::Go(Step::Retreat)
             }
+            Recovery::BackOff => match self.back_off().await {
+                Ok(()) => Next::Finished(Outcome::NotExecuted { why: problem.text }),
+                Err(_) => {
+                    self.attempt.fail(self.failure_class(problem.trouble), &problem.text);
+                    Next::Go(Step::Retreat)
+                }
+            },
             Recovery::PlanAgain => Next::Finished(Outcome::NotExecuted { why: problem.text }),
             Recovery::LiftToPregrasp | Recovery::End => Next::End(problem.end()),
         }

@@ -179,6 +179,8 @@ impl SortConfig {
     pub fn cell(&self, arm: &ArmStation) -> CellConfig {
         let first = arm.bins.first().and_then(|name| self.bin(name));
         CellConfig {
+            // Several arms look from above.
+            servo: None,
             planner: self.planner.clone(),
             camera: self.camera.clone(),
             arm: arm.arm.clone(),

@@ -5,6 +5,7 @@ use std::future::pending;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
+use graspd_adapters_core::follow::{Goal, Goals};
 use graspd_adapters_core::{
     Arm, ArmInfo, ArmMode, ArmState, CameraInfo, DepthCamera, DepthFrame, DeviceError, FaultKind,
     GripCommand, Hand, HandInfo, HandState, Leg, Lens, Limits, Reach, Reached, async_trait,
@@ -14,8 +15,8 @@ use graspd_cell::config::CellConfig;
 use graspd_cell::frame::Frame;
 use graspd_cell::observer::{Event, Observer};
 use graspd_cell::plan::{
-    ActuatorFacts, Answer, EmptyReason, GraspPlanner, HandFacts, NoGrasp, PlannedGrasp, PlannerError,
-    Question,
+    ActuatorFacts, Answer, EmptyReason, GraspPlanner, GraspServo, HandFacts, NoGrasp, PlannedGrasp,
+    PlannerError, Question, ServoAnswer, ServoFrame, ServoQuestion, ServoState,
 };
 use graspd_cell::pose::{PoseRecord, pointing_down};
 use graspd_cell::steps::Step;
@@ -51,6 +52,12 @@ pub(crate) enum Fault {
     PlannerFails,
     /// The planner has no grasp.
     NoGrasp,
+    /// The servo has nothing to follow.
+    TargetLost,
+    /// The servo's stream breaks.
+    StreamBreaks,
+    /// The servo does not answer.
+    StreamSilent,
 }
 
 /// The world that all share.
@@ -91,6 +98,10 @@ pub(crate) struct World {
     pub(crate) moves: Vec<(Step, Isometry3<f64>)>,
     /// Where the thumb was told to go, and in which step.
     pub(crate) thumb: Vec<(Step, f64)>,
+    /// The camera sits in the palm.
+    pub(crate) palm_camera: bool,
+    /// Servo streams that were begun.
+    pub(crate) streams: u32,
 }
 
 impl World {
@@ -129,6 +140,8 @@ impl Shared {
             wedges: false,
             moves: Vec::new(),
             thumb: Vec::new(),
+            palm_camera: false,
+            streams: 0,
         })))
     }
 
@@ -189,9 +202,14 @@ impl Shared {
                 self.slip();
                 return Ok(());
             }
-            Fault::Numb | Fault::Contact | Fault::PlannerAway | Fault::PlannerFails | Fault::NoGrasp => {
-                unreachable!("no fault of a call")
-            }
+            Fault::Numb
+            | Fault::Contact
+            | Fault::PlannerAway
+            | Fault::PlannerFails
+            | Fault::NoGrasp
+            | Fault::TargetLost
+            | Fault::StreamBreaks
+            | Fault::StreamSilent => unreachable!("no fault of a call"),
         })
     }
 
@@ -236,7 +254,9 @@ impl DepthCamera for Shared {
         self.device("camera", "capture", CAMERA_FAULTS).await?;
         let mut world = self.world();
         world.exposure += 1;
-        assert!(world.flange.translation.vector.x > 0.25, "the arm is in the camera's view");
+        // A camera in the palm goes where the hand goes.
+        let away = world.palm_camera || world.flange.translation.vector.x > 0.25;
+        assert!(away, "the arm is in the camera's view");
         Ok(DepthFrame {
             width: 4,
             height: 3,
@@ -244,7 +264,11 @@ impl DepthCamera for Shared {
             lens: Lens { fx_px: 5.0, fy_px: 5.0, cx_px: 1.5, cy_px: 1.0, distortion: [0.0; 8] },
             world_from_camera: None,
             sequence: world.exposure,
-            stamp: Duration::ZERO,
+            stamp: if world.palm_camera {
+                Duration::from_millis(50 * world.exposure)
+            } else {
+                Duration::ZERO
+            },
             age: Duration::from_millis(20),
         })
     }
@@ -276,7 +300,9 @@ impl Shared {
                     expected: "low".into(),
                 });
             }
-            let low = world.flange.translation.vector.z < 0.2 && sideways > 1e-6;
+            // What a servo has led somewhere goes straight in from there.
+            let led = world.palm_camera && matches!(world.step, Step::Follow | Step::Approach);
+            let low = world.flange.translation.vector.z < 0.2 && sideways > 1e-6 && !led;
             assert!(!low, "sideways among the objects: {:?} to {to:?}", world.flange);
             (world.flange, between.norm())
         };
@@ -355,6 +381,52 @@ impl Arm for Shared {
             world.flange.lerp_slerp(to, world.met_after)
         };
         self.go("move_linear", &short, limits, timeout).await.map(|()| Reached::Contact)
+    }
+
+    /// Jumps to each pose as it comes.
+    async fn follow(
+        &self,
+        mut goals: Goals,
+        _limits: Limits,
+        silence: Duration,
+        _timeout: Duration,
+    ) -> Result<(), DeviceError> {
+        loop {
+            match goals.next(silence).await {
+                Goal::Pose(to) => {
+                    if let Some(fault) = self.due("follow", &[Fault::Stop, Fault::OutOfRange, Fault::Timeout])
+                    {
+                        let device = "arm".to_owned();
+                        return Err(match fault {
+                            Fault::Stop => {
+                                self.world().arm_stopped = true;
+                                let kind = FaultKind::ProtectiveStop;
+                                DeviceError::Fault { device, kind, detail: "scripted".into() }
+                            }
+                            Fault::OutOfRange => {
+                                let (field, found, expected) = ("pose".into(), "far".into(), "near".into());
+                                DeviceError::OutOfRange { device, field, found, expected }
+                            }
+                            _ => DeviceError::Timeout { device, operation: "follow", after: silence },
+                        });
+                    }
+                    let mut world = self.world();
+                    let step = world.step;
+                    if world.flange != to {
+                        world.flange = to;
+                        world.moves.push((step, to));
+                    }
+                }
+                Goal::Silence => {
+                    return Err(DeviceError::Timeout {
+                        device: "arm".into(),
+                        operation: "follow",
+                        after: silence,
+                    });
+                }
+                Goal::End => return Ok(()),
+            }
+        }
     }
 
     async fn stop(&self, _timeout: Duration) -> Result<(), DeviceError> {
@@ -501,6 +573,84 @@ impl GraspPlanner for Shared {
         let rejected = BTreeMap::from([("collision_table".to_owned(), 31), ("no_contact".to_owned(), 9)]);
         let hand_revision = "r1".to_owned();
         Ok(Answer { grasps, no_grasp, rejected, plan_s: 0.2, hand_revision, estimator: "scripted".into() })
+    }
+
+    async fn servo(&self, asked: &ServoQuestion, _: Duration) -> Result<Box<dyn GraspServo>, PlannerError> {
+        let mut world = self.world();
+        world.streams += 1;
+        world.questions.push(asked.question.clone());
+        Ok(Box::new(ScriptedServo { shared: self.clone(), newest: None, answers: 0 }))
+    }
+}
+
+/// A servo that comes nearer with every frame: six answers, and then the hand may go in.
+#[derive(Debug)]
+struct ScriptedServo {
+    shared: Shared,
+    newest: Option<u64>,
+    answers: u64,
+}
+
+#[async_trait]
+impl GraspServo for ScriptedServo {
+    async fn send(&mut self, frame: ServoFrame<'_>) -> Result<(), PlannerError> {
+        self.newest = Some(frame.sequence);
+        Ok(())
+    }
+
+    async fn next(&mut self) -> Result<ServoAnswer, PlannerError> {
+        if self.newest.is_none() {
+            return pending().await;
+        }
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        let Some(sequence) = self.newest.take() else { return pending().await };
+        let due = self.shared.due(
+            "servo",
+            &[
+                Fault::PlannerAway,
+                Fault::TargetLost,
+                Fault::StreamBreaks,
+                Fault::StreamSilent,
+                Fault::NoGrasp,
+            ],
+        );
+        let (empty, open) = {
+            let world = self.shared.world();
+            (world.in_tray == 0, world.open)
+        };
+        let (state, reason) = match due {
+            Some(Fault::StreamSilent) => pending().await,
+            Some(Fault::TargetLost) => (ServoState::Lost, "target_gone"),
+            Some(Fault::NoGrasp) => (ServoState::Lost, "all_rejected"),
+            Some(_) => return Err(PlannerError::Away("scripted".into())),
+            None if empty => (ServoState::Lost, "empty_table"),
+            None if self.answers == 0 => (ServoState::Replanning, "first"),
+            None => (ServoState::Tracking, ""),
+        };
+        let is_lost = state == ServoState::Lost;
+        self.answers += u64::from(!is_lost);
+        let near = (0.02 * self.answers.saturating_sub(1) as f64).min(0.1);
+        // Refined: each answer is a millimetre further.
+        let grasp = grasp(0.001 * self.answers as f64, 0.9, open);
+        let standoff = {
+            let (far, at) = (grasp.world_from_pregrasp.isometry(), grasp.world_from_hand.isometry());
+            PoseRecord::from(&far.lerp_slerp(&at, near / 0.15))
+        };
+        let has_grasp = self.answers > 0;
+        Ok(ServoAnswer {
+            sequence,
+            age: Duration::from_millis(30),
+            state,
+            reason: reason.to_owned(),
+            grasp: has_grasp.then_some(grasp),
+            open_joints: Vec::new(),
+            world_from_standoff: has_grasp.then_some(standoff),
+            standoff_m: 0.15 - near,
+            go: self.answers > 6 && !is_lost,
+            replanned: 1,
+            unanswered: 0,
+            refused: String::new(),
+        })
     }
 }
 

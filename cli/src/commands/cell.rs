@@ -1,7 +1,10 @@
 //! `graspd cell`: a robot cell clears a tray; recorded attempts are planned again.
 
+mod pictures;
 mod progress;
 mod replay;
+#[cfg(test)]
+mod servo_tests;
 mod simulation;
 mod sorting;
 mod truth;
@@ -70,7 +73,8 @@ struct RunArgs {
     /// Several arms: only these, by their names
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     arms: Option<Vec<String>>,
-    /// Several arms: a picture of each simulated second into this folder
+    /// Several arms, or a servo: pictures of the simulated world into this folder, one for each second of its clock, or
+    /// for each fifth of one
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Allow motion of all devices, whatever the file says
@@ -80,6 +84,9 @@ struct RunArgs {
     #[arg(long)]
     json: bool,
 }
+
+/// Simulated seconds between pictures of a servo.
+const PICTURE_EVERY_S: f64 = 0.2;
 
 /// Runs the command.
 ///
@@ -118,6 +125,7 @@ impl RunArgs {
             let seed = i64::try_from(seed).context("--scene-seed: found a number beyond 2^63")?;
             simulation.insert("seed".to_owned(), seed.into());
         }
+        world::place_palm_camera(&mut config)?;
         config.check()?;
         Ok(config)
     }
@@ -130,17 +138,17 @@ fn run_cell(args: &RunArgs) -> anyhow::Result<()> {
     {
         return sorting::run(args, &text, &path.display().to_string());
     }
+    let config = args.config()?;
     for (flag, given) in [
         ("--rounds", args.rounds.is_some()),
         ("--arms", args.arms.is_some()),
-        ("--pictures", args.pictures.is_some()),
+        ("--pictures", args.pictures.is_some() && config.servo.is_none()),
     ] {
         anyhow::ensure!(
             !given,
             "{flag}: found it, expected a file with several arms: [[arms]], as in examples/sort.toml"
         );
     }
-    let config = args.config()?;
     // Devices have threads of their own: heartbeats and watchdogs do not wait while a frame is packed or a plan is made.
     let for_devices = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -154,7 +162,10 @@ fn run_cell(args: &RunArgs) -> anyhow::Result<()> {
             for_devices.spawn(async move { world::devices(&config).await })
         };
         // The emulated devices live until the run has ended.
-        let world::Devices { camera, arm, hand, witness, trouble: _trouble } = making.await??;
+        let world::Devices { camera, arm, hand, witness, shared, trouble: _trouble } = making.await??;
+        if let (Some(folder), Some(shared)) = (&args.pictures, &shared) {
+            pictures::take(shared, folder, PICTURE_EVERY_S, world::VIEWPOINT).await?;
+        }
         with_planner(&config, async |planner| {
             let stop = Arc::new(AtomicBool::new(false));
             let mut progress = Progress::new(&config, Arc::clone(&stop));

@@ -56,10 +56,21 @@ impl ContactEstimator for Geometric {
     }
 
     fn estimate(&self, volume: &Volume, budget: &dyn Budget) -> Result<ContactField, Stop> {
-        let grid = volume.grid;
         let solid = volume.solid();
         budget.check()?;
-        let mut group = volume.object_groups(&solid);
+        let groups = volume.object_groups(&solid);
+        self.estimate_known(volume, &solid, &groups, budget)
+    }
+
+    fn estimate_known(
+        &self,
+        volume: &Volume,
+        solid: &[bool],
+        groups: &[u16],
+        budget: &dyn Budget,
+    ) -> Result<ContactField, Stop> {
+        let grid = volume.grid;
+        let mut group = groups.to_vec();
         budget.check()?;
         let extents = extents(&grid, &group);
         extend_into_table(volume, &mut group);
@@ -73,19 +84,12 @@ impl ContactEstimator for Geometric {
         let density = smooth(&grid, &once, &region);
         budget.check()?;
         let floor = volume.table_layer();
-        let body = Body {
-            grid: &grid,
-            group: &group,
-            solid: &solid,
-            state: &volume.state,
-            density: &density,
-            floor,
-        };
+        let body = Body { grid: &grid, group: &group, solid, state: &volume.state, density: &density, floor };
         let contacts = contacts(volume, &body, budget);
         budget.check()?;
 
         let mut field = ContactField::empty(grid);
-        spread(&mut field, &contacts, &extents, &solid, volume.first_object_layer());
+        spread(&mut field, &contacts, &extents, solid, volume.first_object_layer());
         budget.check()?;
         let mut votes = vec![0.0f32; grid.len()];
         for (middle, weight) in contacts.iter().filter_map(|c| c.vote) {

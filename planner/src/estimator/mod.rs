@@ -23,4 +23,20 @@ pub trait ContactEstimator: Send + Sync {
     /// # Errors
     /// [`Stop`] when the budget ended first.
     fn estimate(&self, volume: &Volume, budget: &dyn Budget) -> Result<ContactField, Stop>;
+
+    /// The same where somebody knows already what is solid in the volume ([`Volume::solid`]) and which object each voxel
+    /// belongs to ([`Volume::object_groups`]). For those who want neither, as this default.
+    ///
+    /// # Errors
+    /// [`Stop`] when the budget ended first.
+    fn estimate_known(
+        &self,
+        volume: &Volume,
+        solid: &[bool],
+        groups: &[u16],
+        budget: &dyn Budget,
+    ) -> Result<ContactField, Stop> {
+        let _ = (solid, groups);
+        self.estimate(volume, budget)
+    }
 }

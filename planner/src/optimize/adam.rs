@@ -60,6 +60,13 @@ impl Adam {
         Self { first: vec![0.0; dimension], second: vec![0.0; dimension], decay1: 1.0, decay2: 1.0 }
     }
 
+    /// Takes the moments of another candidate of the same hand. Does not allocate.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.first.copy_from_slice(&other.first);
+        self.second.copy_from_slice(&other.second);
+        (self.decay1, self.decay2) = (other.decay1, other.decay2);
+    }
+
     /// Turns a gradient into a step (in place); `lengths` is the step length of each variable.
     pub(crate) fn step(&mut self, sizes: &StepSizes, lengths: &[f64], share: f64, gradient: &mut [f64]) {
         self.decay1 *= sizes.beta1;

@@ -110,6 +110,19 @@ impl Candidate {
         self.trust = (self.trust * if has_improved { 1.5 } else { 0.5 }).clamp(TRUST.0, TRUST.1);
     }
 
+    /// Becomes what another candidate of the same hand is, but for its trace. Does not allocate.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.current.copy_from(&other.current);
+        self.best.copy_from(&other.best);
+        self.terms = other.terms;
+        self.reaching = other.reaching;
+        self.shares.copy_from_slice(&other.shares);
+        self.adam.copy_from(&other.adam);
+        self.gradient.copy_from_slice(&other.gradient);
+        self.rng.clone_from(&other.rng);
+        (self.iteration, self.trust) = (other.iteration, other.trust);
+    }
+
     /// Moves the candidate: its frame of reference has moved by as much the other way, or what it holds on to has moved.
     pub(crate) fn translate(&mut self, by: &Vector3<f64>) {
         self.best.translation += by;

@@ -46,7 +46,7 @@ pub(crate) struct Judge<'a> {
     pub(crate) objective: &'a Objective<'a>,
     pub(crate) allowed: &'a Allowed,
     pub(crate) options: &'a PlanOptions,
-    pub(crate) directions: Directions,
+    pub(crate) directions: &'a Directions,
 }
 
 impl Judge<'_> {
@@ -115,7 +115,7 @@ impl Judge<'_> {
         if !touch::opposed(model, &touches, self.options.friction) {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
         }
-        let epsilon = force_closure::margin(&arms, self.options.friction, length, &self.directions);
+        let epsilon = force_closure::margin(&arms, self.options.friction, length, self.directions);
         if epsilon < LEAST_MARGIN {
             return Err(Rejection::new(R::NoForceClosure, 0.0));
         }

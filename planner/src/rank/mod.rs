@@ -12,7 +12,7 @@ mod suppress;
 mod touch;
 
 pub(crate) use force_closure::Directions;
-pub(crate) use judge::Judge;
+pub(crate) use judge::{Judge, Rejection};
 pub(crate) use reason::all_rejected;
 
 use std::collections::BTreeMap;
@@ -24,14 +24,13 @@ use crate::budget::{Budget, Stop};
 use crate::grasp::{Grasp, RejectReason};
 use crate::objective::Scratch;
 use crate::optimize::Candidate;
-use judge::Rejection;
 
 /// Grasps best first, and what became of the other candidates.
 #[derive(Debug)]
 pub(crate) struct Ranking {
     pub(crate) grasps: Vec<Grasp>,
-    /// Index of the candidate behind the best grasp.
-    pub(crate) best: Option<usize>,
+    /// Indices of the candidates behind the grasps.
+    pub(crate) sources: Vec<usize>,
     pub(crate) rejected: BTreeMap<RejectReason, usize>,
     pub(crate) rejections: Vec<Rejection>,
 }
@@ -84,18 +83,17 @@ pub(crate) fn rank(judge: &Judge<'_>, candidates: &[Candidate], most: usize, bud
     }
     // Equal scores keep the order of the candidates, so that the ranking does not depend on chance.
     kept.sort_by(|a, b| b.1.score.total_cmp(&a.1.score).then(a.0.cmp(&b.0)));
-    let best = kept.first().map(|k| k.0);
-    let mut grasps: Vec<Grasp> = kept.into_iter().map(|k| k.1).collect();
     let mut count = |reason, n: usize| {
         if n > 0 {
             *rejected.entry(reason).or_insert(0) += n;
         }
     };
-    count(RejectReason::Duplicate, suppress::suppress(&mut grasps, &Point3::from(model.pivot)));
+    count(RejectReason::Duplicate, suppress::suppress(&mut kept, &Point3::from(model.pivot)));
     let limit = judge.options.max_grasps;
-    if grasps.len() > limit {
-        count(RejectReason::BeyondLimit, grasps.len() - limit);
-        grasps.truncate(limit);
+    if kept.len() > limit {
+        count(RejectReason::BeyondLimit, kept.len() - limit);
+        kept.truncate(limit);
     }
-    Ranking { grasps, best, rejected, rejections }
+    let (sources, grasps) = kept.into_iter().unzip();
+    Ranking { grasps, sources, rejected, rejections }
 }

@@ -15,12 +15,12 @@ fn same(a: &Grasp, b: &Grasp, tool: &Point3<f64>) -> bool {
     apart < SAME_PLACE_M && a.world_from_hand.rotation.angle_to(&b.world_from_hand.rotation) < SAME_TURN_RAD
 }
 
-/// Keeps of grasps sorted best first those that no better one resembles; returns how many went.
-pub(crate) fn suppress(grasps: &mut Vec<Grasp>, tool: &Point3<f64>) -> usize {
+/// Keeps of numbered grasps sorted best first those that no better one resembles; returns how many went.
+pub(crate) fn suppress(grasps: &mut Vec<(usize, Grasp)>, tool: &Point3<f64>) -> usize {
     let before = grasps.len();
-    let mut kept: Vec<Grasp> = Vec::with_capacity(before);
+    let mut kept: Vec<(usize, Grasp)> = Vec::with_capacity(before);
     for grasp in grasps.drain(..) {
-        if !kept.iter().any(|k| same(k, &grasp, tool)) {
+        if !kept.iter().any(|k| same(&k.1, &grasp.1, tool)) {
             kept.push(grasp);
         }
     }

@@ -12,9 +12,15 @@
 
 mod admission;
 mod answer;
+mod follow;
+mod improve;
 mod mask;
 mod options;
+mod perceive;
+mod rivals;
+mod search;
 mod smooth;
+mod stages;
 pub mod standoff;
 mod target;
 mod tracker;

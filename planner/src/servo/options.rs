@@ -56,9 +56,10 @@ pub struct ServoOptions {
     pub patience: usize,
     /// Searches in vain before the target counts as lost.
     pub give_up: usize,
-    /// After so many tracked frames other grasps of the target are looked for; 0: never.
+    /// Every so many frames another grasp of the target is refined and judged beside the one that is followed; in the
+    /// frames between it is the grasp itself with more iterations. 0: never another one.
     pub reconsider_every: usize,
-    /// They must score this much more to be taken.
+    /// At the end of the approach another grasp must score this much more to be taken; less before.
     pub reconsider_margin: f64,
     /// Poses that ask for more are wild.
     pub camera: CameraBounds,
@@ -87,10 +88,10 @@ impl Default for ServoOptions {
             memory: 6,
             standoff,
             bounds: Bounds { translation_m: 0.008, rotation_rad: 0.06 },
-            patience: 3,
+            patience: 5,
             give_up: 5,
-            reconsider_every: 12,
-            reconsider_margin: 0.2,
+            reconsider_every: 2,
+            reconsider_margin: 0.15,
             camera: CameraBounds { speed_m_s: 2.0, turn_rad_s: 6.0 },
             blind_within_m: 0.15,
             hand_from_camera: None,

@@ -8,7 +8,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use rayon::prelude::*;
 
-use super::{Volume, VoxelState};
+use super::{TRUNCATION_VOXELS, Volume, VoxelState};
 use crate::frame::Frame;
 
 /// Points along each edge of a voxel.
@@ -35,8 +35,8 @@ pub struct SurfaceVoxel {
 }
 
 impl Volume {
-    /// The voxels at the surface of `solid` (see [`Volume::solid`]), of which the views tell how full they are; above the
-    /// table only, whose height is known better. A voxel that nobody has looked into is as full as `solid` says and is not
+    /// The voxels at the surface of `solid` (see [`Volume::solid`]), of which the views tell how full they are, or what was
+    /// fused before where none of them shows it; above the table only, whose height is known better. A voxel that nobody has looked into is as full as `solid` says and is not
     /// listed.
     pub fn surface(&self, solid: &[bool], views: &[View<'_>]) -> Vec<SurfaceVoxel> {
         let n = self.grid.resolution;
@@ -56,11 +56,19 @@ impl Volume {
                 if !known || !is_at_surface(solid, n, [x, y, z]) {
                     return None;
                 }
-                let filled = self.filled([x, y, z], views)?;
+                let filled = self.filled([x, y, z], views).or_else(|| self.remembered(index))?;
                 Some(SurfaceVoxel { index: index as u32, filled })
             })
         };
         (0..n * n).into_par_iter().flat_map_iter(shares).collect()
+    }
+
+    /// Share of a voxel that lies behind the surface that was seen before, by its signed distance; nothing where it was not.
+    /// A volume that follows something shows more than its newest view does, and a camera that has come too near sees nothing.
+    fn remembered(&self, index: usize) -> Option<f32> {
+        let distance = self.tsdf[index] * TRUNCATION_VOXELS as f32;
+        (self.weight[index] > 0 && distance.abs() < TRUNCATION_VOXELS as f32)
+            .then(|| (0.5 - distance).clamp(0.0, 1.0))
     }
 
     /// Share of a voxel that lies behind what the views see; nothing where they see nothing.

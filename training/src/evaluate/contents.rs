@@ -21,6 +21,7 @@ const ROUNDS: u64 = 10;
 const DROP_M: f64 = 0.2;
 
 /// The objects of a tray; `present[i]` is the item behind the world's i-th object.
+#[derive(Clone)]
 pub(super) struct Contents {
     pub(super) items: Vec<Item>,
     pub(super) present: Vec<usize>,

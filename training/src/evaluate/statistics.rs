@@ -33,6 +33,23 @@ pub fn wilson(successes: usize, trials: usize) -> Share {
     Share { rate: p, low, high }
 }
 
+/// Probability that pairs which came out differently fall at least as unevenly by chance (McNemar's exact test, two-sided);
+/// `only_a` of them succeeded in the first way alone, `only_b` in the second. 1 where none did.
+pub fn mcnemar(only_a: usize, only_b: usize) -> f64 {
+    let (least, n) = (only_a.min(only_b), only_a + only_b);
+    // Terms of the binomial distribution with one half, by logarithms: no power of two underflows.
+    let half_n = n as f64 * std::f64::consts::LN_2;
+    let mut log_choose = 0.0;
+    let mut tail = 0.0;
+    for k in 0..=least {
+        if k > 0 {
+            log_choose += ((n - k + 1) as f64).ln() - (k as f64).ln();
+        }
+        tail += f64::exp(log_choose - half_n);
+    }
+    (2.0 * tail).min(1.0)
+}
+
 /// A quantile, interpolated between neighbours; `None` without values.
 pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
@@ -69,6 +86,16 @@ mod tests {
         }
         assert_eq!(wilson(25, 25).high, 1.0);
         assert_eq!(wilson(0, 0), Share { rate: 0.0, low: 0.0, high: 1.0 });
+    }
+
+    #[test]
+    fn mcnemar_gives_known_probabilities() {
+        for (a, b, p) in
+            [(0, 0, 1.0), (5, 5, 1.0), (0, 6, 0.03125), (1, 9, 0.021_484_375), (9, 1, 0.021_484_375)]
+        {
+            assert!((mcnemar(a, b) - p).abs() < 1e-12, "{a} {b}: {}", mcnemar(a, b));
+        }
+        assert!(mcnemar(400, 1600) < 1e-100);
     }
 
     #[test]

@@ -9,6 +9,8 @@ mod closing;
 #[cfg(test)]
 mod fixtures;
 #[cfg(test)]
+mod follow;
+#[cfg(test)]
 mod hand;
 mod plants;
 #[cfg(test)]

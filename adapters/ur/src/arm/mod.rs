@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use graspd_adapters_core::check::SettingsError;
+use graspd_adapters_core::follow::Goals;
 use graspd_adapters_core::{
     Arm, ArmInfo, ArmMode, ArmState, DeviceError, FaultKind, Leg, Limits, Reach, Reached, async_trait,
 };
@@ -34,7 +35,7 @@ pub struct UrArm {
     pub(crate) orders: mpsc::UnboundedSender<Order>,
     pub(crate) kinematics: Kinematics,
     pub(crate) world_from_base: Isometry3<f64>,
-    flange_from_hand: Isometry3<f64>,
+    pub(crate) flange_from_hand: Isometry3<f64>,
     dashboard: Dashboard,
     uploaded: Mutex<Uploaded>,
     task: AbortHandle,
@@ -282,6 +283,16 @@ impl Arm for UrArm {
         }
         let call = Call::new("move_until_contact", timeout);
         self.line(call, world_from_flange, limits, Some(force_n)).await
+    }
+
+    async fn follow(
+        &self,
+        goals: Goals,
+        limits: Limits,
+        silence: Duration,
+        timeout: Duration,
+    ) -> Result<(), DeviceError> {
+        self.follow_goals(goals, limits, silence, timeout).await
     }
 
     async fn stop(&self, timeout: Duration) -> Result<(), DeviceError> {

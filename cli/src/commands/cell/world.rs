@@ -13,16 +13,18 @@ use graspd_adapters_mock::{
     SharedWorldSettings,
 };
 use graspd_cell::config::CellConfig;
-use graspd_cell::pose::pointing_down;
+use graspd_cell::pose::{PoseRecord, pointing_down};
 use graspd_cell::witness::Witness;
 use graspd_hands::library;
 use graspd_sim::camera::look_at;
 use graspd_sim::sensor::Sensor;
 use graspd_sim::world::HandId;
+use graspd_training::evaluate::servo::hand_from_camera;
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::de::DeserializeOwned;
 use tokio::task::JoinSet;
 
+use super::pictures::Viewpoint;
 use super::simulation::{SensorName, Simulation, WireFaults, fill, tray};
 use super::truth::SimulatedTruth;
 use crate::devices::hand::{Body, HandEmulator};
@@ -36,8 +38,34 @@ pub(in crate::commands) struct Devices {
     pub(in crate::commands) hand: Arc<dyn Hand>,
     /// Who knows what became of the objects; nobody in the real world.
     pub(in crate::commands) witness: Option<Arc<dyn Witness>>,
+    /// The simulated world, where there is one.
+    pub(in crate::commands) shared: Option<SharedWorld>,
     /// What befalls emulated devices; ends with this.
     pub(in crate::commands) trouble: JoinSet<()>,
+}
+
+/// Where pictures of a cell with one arm are taken from.
+pub(super) const VIEWPOINT: Viewpoint =
+    Viewpoint { eye: Point3::new(0.42, -0.62, 0.42), target: Point3::new(0.02, 0.0, 0.10), focal_px: 620.0 };
+
+/// Says where the camera of a servo sits, where the file does not: a simulated one looks out of the palm.
+///
+/// # Errors
+/// For a real camera, whose place nobody can guess.
+pub(super) fn place_palm_camera(config: &mut CellConfig) -> anyhow::Result<()> {
+    let is_mock = sections(config)[0].is_mock();
+    let Some(servo) = config.servo.as_mut().filter(|servo| servo.hand_from_camera.is_none()) else {
+        return Ok(());
+    };
+    anyhow::ensure!(
+        is_mock,
+        "servo.hand_from_camera: missing, expected the pose of the camera's optical frame in the hand's root link"
+    );
+    // An unknown hand is told of elsewhere.
+    if let Some(hand) = library::hand(&config.hand.id) {
+        servo.hand_from_camera = Some(PoseRecord::from(&hand_from_camera(hand)));
+    }
+    Ok(())
 }
 
 /// Makes the devices that the configuration names.
@@ -87,7 +115,7 @@ pub(in crate::commands) async fn devices(config: &CellConfig) -> anyhow::Result<
     let drop = Vector3::from(config.drop.position_m);
     let home = pointing_down(&hand.approach, &Vector3::x(), &hand.tool_point.coords, &drop, 0.0);
     let mounted = shared.add_hand(Arc::new(hand.clone()), home, None).await?;
-    let camera = camera(config, &sections[0], &simulation, &shared)?;
+    let camera = camera(config, &sections[0], &simulation, &shared, Some(mounted))?;
     let mut trouble = JoinSet::new();
     let (mock_arm, mock_hand) = (simulation.faults.arm.clone(), simulation.faults.hand.clone());
     let arm: Arc<dyn Arm> = if sections[1].is_mock() {
@@ -103,7 +131,7 @@ pub(in crate::commands) async fn devices(config: &CellConfig) -> anyhow::Result<
         emulated_hand(config, &shared, mounted, faults.hand, &mut trouble).await?
     };
     let witness: Arc<dyn Witness> = Arc::new(SimulatedTruth::new(&shared).await?);
-    Ok(Devices { camera, arm, hand, witness: Some(witness), trouble })
+    Ok(Devices { camera, arm, hand, witness: Some(witness), shared: Some(shared), trouble })
 }
 
 /// Devices none of which is in a simulated world. One that is emulated all the same has the small plant that comes with
@@ -119,7 +147,7 @@ async fn wired(config: &CellConfig) -> anyhow::Result<Devices> {
         let _emulators = emulators;
         std::future::pending::<()>().await;
     });
-    Ok(Devices { camera, arm: arm.arm, hand: hand.hand.hand(), witness: None, trouble })
+    Ok(Devices { camera, arm: arm.arm, hand: hand.hand.hand(), witness: None, shared: None, trouble })
 }
 
 /// A camera of the simulated world.
@@ -128,6 +156,7 @@ pub(super) fn camera(
     section: &Section<'_>,
     simulation: &Simulation,
     shared: &SharedWorld,
+    carried_by: Option<HandId>,
 ) -> anyhow::Result<Arc<dyn DepthCamera>> {
     let mut sensor = match simulation.sensor {
         SensorName::PicoFlexx => Sensor::pico_flexx(),
@@ -137,7 +166,10 @@ pub(super) fn camera(
         sensor = Sensor::ideal(sensor.lens);
     }
     let (eye, target) = (Point3::from(config.camera.position_m), Point3::from(config.camera.looks_at_m));
-    let mount = Mount::Fixed { world_from_camera: look_at(&eye, &target, &Vector3::z()) };
+    let mount = match (&config.servo, carried_by) {
+        (Some(servo), Some(hand)) => Mount::OnHand { hand, hand_from_camera: servo.hand_from_camera() },
+        _ => Mount::Fixed { world_from_camera: look_at(&eye, &target, &Vector3::z()) },
+    };
     let settings: CameraSettings = section.settings(&[])?;
     let camera = MockCamera::new(shared, settings, sensor, mount, simulation.faults.camera.clone());
     Ok(Arc::new(camera.context("camera.settings.mock")?))
@@ -307,7 +339,7 @@ mod tests {
     async fn a_run_counts_every_object_that_the_witness_sees() {
         let text = "[hand]\nid = \"robotiq-2f85\"\n[run]\ntrials = 3\n[simulation]\nobjects = 2\n";
         let config = CellConfig::parse(text).unwrap();
-        let Devices { camera, arm, hand, witness, trouble: _trouble } = devices(&config).await.unwrap();
+        let Devices { camera, arm, hand, witness, trouble: _trouble, .. } = devices(&config).await.unwrap();
         let report = super::super::with_planner(&config, async |planner| {
             let cell = Cell { camera, arm, hand, planner: Arc::new(planner), witness };
             Ok(clear_tray(&cell, &config, &mut Silent).await?)

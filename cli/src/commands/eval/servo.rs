@@ -9,7 +9,8 @@ use graspd_planner::estimator::ContactEstimator;
 use graspd_planner::servo::Mode;
 use graspd_training::evaluate::Class;
 use graspd_training::evaluate::servo::{
-    Group, Nudge, ServoAttempt, ServoObserver, ServoReport, ServoSettings, ServoTray, clear_with_servo,
+    Group, Nudge, Pair, ServoAttempt, ServoObserver, ServoReport, ServoSettings, ServoTray, clear_with_servo,
+    pairs_with_servo,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -72,6 +73,9 @@ pub(crate) struct ServoArgs {
     /// Second test: five objects in a tray, of which the one at the grasp is shoved by so many metres on the way
     #[arg(long, value_name = "METRES", num_args = 0..=1, default_missing_value = "0.025", value_parser = metres)]
     nudge: Option<f64>,
+    /// So many attempts of both modes in each tray, each pair from the same place, instead of clearing it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
+    pairs: Option<u32>,
     /// Frames per second of the palm camera
     #[arg(long, default_value_t = 15.0, value_parser = metres)]
     fps: f64,
@@ -125,11 +129,22 @@ pub(crate) fn run(args: &ServoArgs) -> anyhow::Result<()> {
         workers: jobs,
         ..ServoSettings::new(super::hands(&args.hands)?)
     };
-    let trays = settings.hands.len() * settings.groups.len() * settings.runs * settings.modes.len();
-    let watcher = Watcher::new(trays as u64);
+    let trays = settings.hands.len() * settings.groups.len() * settings.runs;
     let begin = std::time::Instant::now();
-    let done = clear_with_servo(&settings, &estimator, &watcher)?;
-    watcher.bar.finish_and_clear();
+    let (trays, pairs) = match args.pairs {
+        Some(attempts) => {
+            let watcher = Watcher::new((trays * attempts as usize) as u64);
+            let pairs = pairs_with_servo(&settings, attempts as usize, &estimator, &watcher)?;
+            watcher.bar.finish_and_clear();
+            (Vec::new(), pairs)
+        }
+        None => {
+            let watcher = Watcher::new((trays * settings.modes.len()) as u64);
+            let trays = clear_with_servo(&settings, &estimator, &watcher)?;
+            watcher.bar.finish_and_clear();
+            (trays, Vec::new())
+        }
+    };
     let objects = match settings.nudge {
         Some(n) => format!(
             "{} objects a tray; the one at the grasp is shoved by {:.0} mm at a stand-off of {:.0} mm",
@@ -166,13 +181,23 @@ pub(crate) fn run(args: &ServoArgs) -> anyhow::Result<()> {
             1e3 * servo.standoff.end_m
         ),
         format!(
-            "success: something was lifted by 15 cm, held and shaken, and not lost; an object is given up after {n} \
-             failed trials, a tray after {n} approaches in a row without a grip",
-            n = args.give_up
+            "success: something was lifted by 15 cm, held and shaken, and not lost; {}",
+            match args.pairs {
+                Some(attempts) => format!(
+                    "{attempts} pairs a tray, each from the same place; an approach without a grip counts as a failure of its pair"
+                ),
+                None => format!(
+                    "an object is given up after {n} failed trials, a tray after {n} approaches in a row without a grip",
+                    n = args.give_up
+                ),
+            }
         ),
         format!("{jobs} trays at a time, each on one thread, {:.0} s in all", begin.elapsed().as_secs_f64()),
     ];
-    let report = ServoReport::new(conditions, done);
+    let report = match args.pairs {
+        Some(_) => ServoReport::of_pairs(conditions, pairs),
+        None => ServoReport::new(conditions, trays),
+    };
     if let Some(path) = &args.json {
         write_file(path, serde_json::to_string(&report)?.as_bytes())?;
     }
@@ -200,6 +225,19 @@ impl Watcher {
     }
 }
 
+impl Watcher {
+    /// One line, and one more that is done.
+    fn tell(&self, line: &str) {
+        if self.bar.is_hidden() {
+            // Nobody watches a bar: a line in a log.
+            writeln!(std::io::stderr(), "{line}").ok();
+        } else {
+            self.bar.println(line);
+        }
+        self.bar.inc(1);
+    }
+}
+
 impl ServoObserver for Watcher {
     fn attempt(&self, attempt: &ServoAttempt) {
         let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
@@ -207,6 +245,18 @@ impl ServoObserver for Watcher {
         counts.1 += usize::from(attempt.class == Class::Success);
         let rate = 100.0 * counts.1 as f64 / counts.0.max(1) as f64;
         self.bar.set_message(format!("{} trials, {rate:.0}% successful", counts.0));
+    }
+
+    fn pair(&self, pair: &Pair) {
+        let told = |a: &ServoAttempt| a.nothing.clone().unwrap_or_else(|| a.class.title().to_owned());
+        let (hand, group) = (&pair.hand, pair.group.name());
+        self.tell(&format!(
+            "{hand} {group} run {} pair {}: static {}, dynamic {}",
+            pair.run,
+            pair.number,
+            told(&pair.fixed),
+            told(&pair.dynamic)
+        ));
     }
 
     fn tray(&self, tray: &ServoTray) {
@@ -222,12 +272,6 @@ impl ServoObserver for Watcher {
             end.trials,
             end.successes
         );
-        if self.bar.is_hidden() {
-            // Nobody watches a bar: a line in a log.
-            writeln!(std::io::stderr(), "{line}").ok();
-        } else {
-            self.bar.println(line);
-        }
-        self.bar.inc(1);
+        self.tell(&line);
     }
 }

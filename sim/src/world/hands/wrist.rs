@@ -57,10 +57,13 @@ impl Wrist {
     }
 
     /// Moves from where the reference is to a pose; from where the wrist is when something holds it back: a
-    /// reference that waits for the wrist would otherwise press on, and no new motion would ever begin.
+    /// reference that waits for the wrist would otherwise press on, and no new motion would ever begin. What it has of
+    /// speed in the new direction it keeps: poses that follow each other quickly make one motion.
     pub(super) fn go(&mut self, at: &Isometry3<f64>, to: &Isometry3<f64>, speed_m_s: f64, turn_rad_s: f64) {
+        let mut velocity = self.velocity();
         if self.lags(at) {
             self.reference = *at;
+            velocity = Vector3::zeros();
         }
         let (speed, turn) = (speed_m_s.clamp(1e-4, 5.0), turn_rad_s.clamp(1e-3, 20.0));
         let way = (to.translation.vector - self.reference.translation.vector).norm();
@@ -70,8 +73,20 @@ impl Wrist {
         self.length = way.max(angle * speed / turn);
         self.speed = speed;
         self.done = 0.0;
-        self.rate = 0.0;
+        let along = (to.translation.vector - self.from.translation.vector).try_normalize(1e-6);
+        let kept = along.map_or(0.0, |along| velocity.dot(&along).max(0.0));
+        self.rate = if way > 0.0 { (kept * self.length / way).min(speed) } else { 0.0 };
         (self.guided, self.guided_force_n) = (None, f64::INFINITY);
+    }
+
+    /// Velocity of the reference's origin on its way.
+    fn velocity(&self) -> Vector3<f64> {
+        let way = self.to.translation.vector - self.from.translation.vector;
+        if self.length > 0.0 && self.done < self.length {
+            way * (self.rate / self.length)
+        } else {
+            Vector3::zeros()
+        }
     }
 
     /// Gives the reference of the next step, and the force with which the wrist follows it at most from now on.
@@ -166,5 +181,26 @@ mod tests {
         assert!(moved.translation.vector.norm() < 0.01, "{moved}");
         let turned = held_back(&Isometry3::rotation(Vector3::z() * 1.5));
         assert!(turned.rotation.angle() < 0.05, "{turned}");
+    }
+
+    #[test]
+    fn poses_that_follow_each_other_quickly_make_one_motion_and_another_direction_is_not_kept() {
+        let (dt, still) = (1.0 / 400.0, (Vector3::zeros(), Vector3::zeros()));
+        let mut wrist = Wrist::new(&Isometry3::identity());
+        let mut walk = |to: Isometry3<f64>, steps: usize| {
+            for k in 0..steps {
+                let at = wrist.reference;
+                if k % 27 == 0 {
+                    wrist.go(&at, &to, 0.25, 1.0);
+                }
+                wrist.step(&at, &still, dt, &HandSettings::default());
+            }
+            (wrist.reference.translation.vector, wrist.rate)
+        };
+        let (at, rate) = walk(Isometry3::translation(2.0, 0.0, 0.0), 800);
+        // Two seconds at full speed, but for an eighth of a second to get there.
+        assert!((at.x - 0.484).abs() < 5e-3 && (rate - 0.25).abs() < 1e-9, "{at} {rate}");
+        let (_, rate) = walk(Isometry3::translation(0.0, 0.0, 0.0), 2);
+        assert!(rate < 0.02, "back it begins from rest: {rate}");
     }
 }

@@ -45,6 +45,12 @@ pub struct Way {
     pub refining_ms: f64,
     /// The first frame, milliseconds on one thread.
     pub planning_ms: f64,
+    /// Score of the first grasp; 0 without one.
+    pub first_score: f64,
+    /// Score of the last one.
+    pub last_score: f64,
+    /// Answers that waited: another grasp was searched, there was none, or the newest frame spoke against it.
+    pub waited: usize,
     /// Whether the object was shoved.
     pub nudged: bool,
 }
@@ -71,8 +77,9 @@ pub(super) struct Approach<'a> {
 
 impl Approach<'_> {
     /// Frame after frame. What a frame says is obeyed when the next one is taken: a real servo is that late.
-    pub(super) fn run(mut self) -> (Arrived, Way) {
+    pub(super) fn run(mut self) -> (Arrived, Way, Vec<String>) {
         let mut way = Way::default();
+        let mut replans: Vec<String> = Vec::new();
         let steps = (1.0 / (self.frames_per_s * self.world.settings().dt_s)).round().max(1.0) as usize;
         let frames = (LONGEST_S * self.frames_per_s) as u64;
         let (mut pending, mut first, mut lost): (Option<Answer>, Option<Grasp>, usize) = (None, None, 0);
@@ -96,7 +103,16 @@ impl Approach<'_> {
                 self.world.step();
             }
             let Ok(answer) = answer else { continue };
+            let announced = answer.counters.replanned as usize > way.replanned;
             way.note(&answer, took_ms);
+            if let (true, State::Replanning(why)) = (announced, answer.state) {
+                let score = answer.grasp.as_ref().map_or(0.0, |g| g.score);
+                replans.push(format!(
+                    "{sequence} {} {score:.2} {:.0} mm",
+                    why.as_str(),
+                    1e3 * answer.standoff_m
+                ));
+            }
             if let (None, Some(grasp)) = (&first, &answer.grasp) {
                 first = Some(grasp.clone());
             }
@@ -111,7 +127,7 @@ impl Approach<'_> {
                     State::Lost(loss) => loss,
                     _ => Loss::TargetGone,
                 };
-                return (Arrived::Nothing(why.as_str()), way);
+                return (Arrived::Nothing(why.as_str()), way, replans);
             }
             if let Some(nudge) = self.nudge
                 && !way.nudged
@@ -123,11 +139,11 @@ impl Approach<'_> {
             if answer.go
                 && let Some(grasp) = answer.grasp
             {
-                return (Arrived::Go(Box::new(grasp)), way);
+                return (Arrived::Go(Box::new(grasp)), way, replans);
             }
             pending = Some(answer);
         }
-        (Arrived::Nothing("never_close_enough"), way)
+        (Arrived::Nothing("never_close_enough"), way, replans)
     }
 
     /// To the stand-off, fingers as the grasp has them on its way.
@@ -182,5 +198,12 @@ impl Way {
             self.largest_change_m = self.largest_change_m.max(answer.change.translation_m);
         }
         self.replanned = answer.counters.replanned as usize;
+        self.waited += usize::from(answer.state != State::Tracking || !answer.is_settled);
+        if let Some(grasp) = &answer.grasp {
+            if self.first_score == 0.0 {
+                self.first_score = grasp.score;
+            }
+            self.last_score = grasp.score;
+        }
     }
 }

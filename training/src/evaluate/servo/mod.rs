@@ -5,11 +5,13 @@
 //! after the first.
 
 mod approach;
+mod paired;
 mod palm;
 mod report;
 mod run;
 mod settings;
 
+pub use paired::{Pair, pairs_with_servo};
 pub use palm::{PalmCamera, hand_from_camera};
 pub use report::{Row, ServoReport};
 pub use run::{ServoAttempt, ServoEnd, ServoObserver, ServoTray, clear_with_servo};

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::paired::{self, Pair};
 use super::run::{ServoEnd, ServoTray};
 use super::settings::Group;
 use crate::evaluate::Class;
@@ -44,6 +45,9 @@ pub struct ServoReport {
     pub rows: Vec<Row>,
     /// Every tray.
     pub trays: Vec<ServoTray>,
+    /// Every pair of attempts in the same tray, where pairs were made instead.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub pairs: Vec<Pair>,
 }
 
 impl ServoReport {
@@ -74,7 +78,34 @@ impl ServoReport {
                 }
             }
         }
-        Self { conditions, rows, trays }
+        Self { conditions, rows, trays, pairs: Vec::new() }
+    }
+
+    /// Pairs of attempts, also counted as if each mode had had trays of its own (nothing is cleared in them).
+    pub fn of_pairs(conditions: Vec<String>, pairs: Vec<Pair>) -> Self {
+        let mut trays: Vec<ServoTray> = Vec::new();
+        for pair in &pairs {
+            for (is_dynamic, attempt) in [(false, &pair.fixed), (true, &pair.dynamic)] {
+                let same = |t: &&mut ServoTray| {
+                    (t.is_dynamic, t.run, t.group, t.hand.as_str())
+                        == (is_dynamic, pair.run, pair.group, pair.hand.as_str())
+                };
+                if let Some(tray) = trays.iter_mut().find(same) {
+                    tray.attempts.push(attempt.clone());
+                    continue;
+                }
+                trays.push(ServoTray {
+                    hand: pair.hand.clone(),
+                    group: pair.group,
+                    run: pair.run,
+                    is_dynamic,
+                    objects: attempt.objects,
+                    cleared: 0,
+                    attempts: vec![attempt.clone()],
+                });
+            }
+        }
+        Self { pairs, ..Self::new(conditions, trays) }
     }
 
     /// The rows over all groups.
@@ -95,12 +126,12 @@ impl ServoReport {
     fn layout(&self, show: impl Fn(&Table) -> String, bullet: &str) -> String {
         let conditions: String = self.conditions.iter().map(|c| format!("{bullet}{c}\n")).collect();
         let differences: String = self.differences().iter().map(|d| format!("{bullet}{d}\n")).collect();
-        format!(
-            "{conditions}\n{}\n{differences}\n{}\n{}",
-            show(&self.quality()),
-            show(&self.ways()),
-            show(&self.failures())
-        )
+        let outcome = if self.pairs.is_empty() {
+            format!("{}\n{differences}", show(&self.quality()))
+        } else {
+            show(&paired::table(&self.pairs))
+        };
+        format!("{conditions}\n{outcome}\n{}\n{}", show(&self.ways()), show(&self.failures()))
     }
 
     fn quality(&self) -> Table {
@@ -139,6 +170,7 @@ impl ServoReport {
             "first plan ms",
             "frame ms",
             "drift mm p50, p95",
+            "score first, last",
         ]);
         for r in self.totals() {
             let trays = self.trays.iter().filter(|t| t.hand == r.hand && t.is_dynamic == r.is_dynamic);
@@ -159,6 +191,11 @@ impl ServoReport {
                 show(quantile(&of(&|w| w.planning_ms), 0.5), 0),
                 format!("{:.1}", of(&|w| w.refining_ms).iter().sum::<f64>() / refined),
                 format!("{}, {}", show(quantile(&drift, 0.5), 0), show(quantile(&drift, 0.95), 0)),
+                format!(
+                    "{}, {}",
+                    show(mean(&of(&|w| w.first_score)), 2),
+                    show(mean(&of(&|w| w.last_score)), 2)
+                ),
             ]);
         }
         table

@@ -1,7 +1,6 @@
 //! Trays cleared with the servo, and what is written down of every attempt.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use graspd_hands::Hand;
 use graspd_planner::estimator::ContactEstimator;
@@ -15,10 +14,12 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::approach::{Approach, Arrived, Way};
+use super::paired::Pair;
 use super::palm::PalmCamera;
 use super::settings::{Group, ServoSettings};
 use crate::evaluate::contents::{Contents, SETTLE_S, put_back};
 use crate::evaluate::seeds::derive;
+use crate::evaluate::workers::in_turn;
 use crate::evaluate::{Class, EvaluationError, Station, command};
 
 /// Where the palm camera first looks from, world frame, metres.
@@ -40,6 +41,9 @@ pub struct ServoAttempt {
     pub objects: usize,
     /// The approach.
     pub way: Way,
+    /// Every grasp that was announced as another one: frame, reason, score, stand-off.
+    #[serde(default)]
+    pub replans: Vec<String>,
 }
 
 /// One tray, cleared or given up.
@@ -84,6 +88,8 @@ pub trait ServoObserver: Sync {
     fn attempt(&self, attempt: &ServoAttempt);
     /// A tray has ended.
     fn tray(&self, tray: &ServoTray);
+    /// A pair of attempts has ended.
+    fn pair(&self, pair: &Pair);
 }
 
 impl ServoTray {
@@ -119,35 +125,45 @@ pub fn clear_with_servo(
             }
         }
     }
-    let next = AtomicUsize::new(0);
-    let done: Mutex<Vec<(usize, ServoTray)>> = Mutex::new(Vec::new());
-    let failed: Mutex<Option<EvaluationError>> = Mutex::new(None);
-    let work = || -> Result<(), EvaluationError> {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            let Some(&(group, run, hand, mode)) = jobs.get(index) else { return Ok(()) };
-            let tray = pool.install(|| clear_tray(settings, estimator, group, run, hand, mode, observer))?;
-            observer.tray(&tray);
-            done.lock().unwrap_or_else(PoisonError::into_inner).push((index, tray));
-        }
-    };
-    std::thread::scope(|scope| {
-        for _ in 0..settings.workers.min(jobs.len()) {
-            scope.spawn(|| {
-                if let Err(error) = work() {
-                    next.store(jobs.len(), Ordering::Relaxed);
-                    failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-                }
-            });
-        }
-    });
-    if let Some(error) = failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        return Err(error);
+    in_turn(jobs.len(), settings.workers, |index| {
+        let (group, run, hand, mode) = jobs[index];
+        let tray = clear_tray(settings, estimator, group, run, hand, mode, observer)?;
+        observer.tray(&tray);
+        Ok(tray)
+    })
+}
+
+/// The seed of one tray.
+pub(super) fn run_seed(settings: &ServoSettings, group: Group, run: usize) -> u64 {
+    derive(settings.seed, &[group as u64, run as u64])
+}
+
+/// A tray with its objects at rest.
+pub(super) struct Poured {
+    pub(super) station: Station,
+    pub(super) world: World,
+    pub(super) objects: usize,
+    pub(super) contents: Contents,
+}
+
+impl Poured {
+    pub(super) fn new(
+        settings: &ServoSettings,
+        group: Group,
+        run_seed: u64,
+    ) -> Result<Self, EvaluationError> {
+        let objects = match settings.nudge {
+            Some(nudge) => group.draw_some(nudge.objects, derive(run_seed, &[0])),
+            None => group.draw(derive(run_seed, &[0])),
+        };
+        let station = Station {
+            world: WorldSettings { tray: Some(settings.tray), ..WorldSettings::default() },
+            sensor: settings.sensor.clone(),
+            ..Station::tray()
+        };
+        let world = station.poured(&objects, derive(run_seed, &[1]))?;
+        Ok(Self { station, world, objects: objects.len(), contents: Contents::new(&objects) })
     }
-    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
-    done.sort_by_key(|(index, _)| *index);
-    Ok(done.into_iter().map(|(_, tray)| tray).collect())
 }
 
 /// One tray. Objects, how they lie, and the noise of the first frame are the same for every hand and mode.
@@ -160,31 +176,21 @@ fn clear_tray(
     mode: Mode,
     observer: &dyn ServoObserver,
 ) -> Result<ServoTray, EvaluationError> {
-    let run_seed = derive(settings.seed, &[group as u64, run as u64]);
-    let objects = match settings.nudge {
-        Some(nudge) => group.draw_some(nudge.objects, derive(run_seed, &[0])),
-        None => group.draw(derive(run_seed, &[0])),
-    };
-    let station = Station {
-        world: WorldSettings { tray: Some(settings.tray), ..WorldSettings::default() },
-        sensor: settings.sensor.clone(),
-        ..Station::tray()
-    };
-    let mut world = station.poured(&objects, derive(run_seed, &[1]))?;
-    let mut contents = Contents::new(&objects);
+    let run_seed = run_seed(settings, group, run);
+    let Poured { station, mut world, objects, mut contents } = Poured::new(settings, group, run_seed)?;
     let mut tray = ServoTray {
         hand: hand.id.clone(),
         group,
         run,
         is_dynamic: mode == Mode::Dynamic,
-        objects: objects.len(),
+        objects,
         cleared: 0,
         attempts: Vec::new(),
     };
     let mut in_vain = 0;
     while !contents.present.is_empty()
         && in_vain < settings.give_up
-        && tray.attempts.len() < MOST_ATTEMPTS * objects.len()
+        && tray.attempts.len() < MOST_ATTEMPTS * objects
     {
         let number = tray.attempts.len() as u64;
         put_back(&mut world, &station, derive(run_seed, &[2, number]));
@@ -201,7 +207,7 @@ fn clear_tray(
 
 /// Looks, comes nearer, grips, lifts, and takes out of the tray what is held.
 #[allow(clippy::too_many_arguments)] // the parts of one attempt
-fn attempt(
+pub(super) fn attempt(
     settings: &ServoSettings,
     station: &Station,
     estimator: &Arc<dyn ContactEstimator>,
@@ -229,7 +235,7 @@ fn attempt(
         nudge: settings.nudge,
         seed,
     };
-    let (arrived, way) = approach.run();
+    let (arrived, way, replans) = approach.run();
     let grasp = match arrived {
         Arrived::Go(grasp) => grasp,
         Arrived::Nothing(why) => {
@@ -240,6 +246,7 @@ fn attempt(
                 held: 0,
                 objects,
                 way,
+                replans,
             });
         }
     };
@@ -271,7 +278,7 @@ fn attempt(
     for &at in gone.iter().rev() {
         contents.take(world, at);
     }
-    Ok(ServoAttempt { class, nothing: None, held, objects, way })
+    Ok(ServoAttempt { class, nothing: None, held, objects, way, replans })
 }
 
 /// The servo's options for one attempt.

@@ -1,6 +1,5 @@
 //! `graspd cell run sort.toml`: several arms sort one tray; `--rounds` measures it.
 
-mod pictures;
 mod progress;
 mod rounds;
 mod shape;
@@ -19,8 +18,10 @@ use graspd_cell::plan::GraspPlanner;
 use graspd_cell::sort::config::SortConfig;
 use graspd_cell::sort::report::SortReport;
 use graspd_cell::sort::{SortCell, sort};
+use nalgebra::Point3;
 use serde_json::json;
 
+use super::pictures::{self, Viewpoint};
 use super::{RunArgs, interrupted, with_planner};
 use progress::Progress;
 
@@ -71,7 +72,12 @@ async fn one_run(
     };
     let devices = making.await??;
     if let Some(folder) = pictures {
-        pictures::take(&devices.shared, folder).await?;
+        let from = Viewpoint {
+            eye: Point3::new(0.75, -1.15, 1.0),
+            target: Point3::new(0.0, 0.02, 0.12),
+            focal_px: 620.0,
+        };
+        pictures::take(&devices.shared, folder, 1.0, from).await?;
     }
     let cell = SortCell {
         camera: devices.camera,

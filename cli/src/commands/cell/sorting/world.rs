@@ -128,7 +128,7 @@ pub(super) async fn devices(config: &SortConfig) -> anyhow::Result<SortingDevice
     });
     let shared = SharedWorldSettings { speed: simulation.speed, bins: bins.collect() };
     let shared = SharedWorld::new(world, shared).context("simulation: bins stand under bins.position_m")?;
-    let camera = camera(&cells[0], &sections(&cells[0])[0], &simulation, &shared)?;
+    let camera = camera(&cells[0], &sections(&cells[0])[0], &simulation, &shared, None)?;
     let mut trouble = JoinSet::new();
     let (mut arms, mut watched, mut handles) = (Vec::new(), Vec::new(), Vec::new());
     for (i, ((station, cell), shape)) in config.arms.iter().zip(&cells).zip(&shapes).enumerate() {

@@ -1,4 +1,4 @@
-//! Pictures of a sorting run, taken from the simulated world at even steps of its clock.
+//! Pictures of a run, taken from the simulated world at even steps of its clock.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -9,8 +9,6 @@ use graspd_sim::camera::{Pinhole, look_at};
 use graspd_sim::render;
 use nalgebra::{Point3, Vector3};
 
-/// Simulated seconds between pictures.
-const EVERY_S: f64 = 1.0;
 /// Size, pixels.
 const SIZE: (usize, usize) = (720, 480);
 
@@ -23,8 +21,21 @@ fn write(path: &Path, picture: &render::RgbImage) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Takes pictures from now on, as long as the world lives: `0000.png` and so on.
-pub(super) async fn take(shared: &SharedWorld, folder: &Path) -> anyhow::Result<()> {
+/// Where the pictures are taken from, what they look at, and how long the lens is, pixels.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Viewpoint {
+    pub(super) eye: Point3<f64>,
+    pub(super) target: Point3<f64>,
+    pub(super) focal_px: f64,
+}
+
+/// Takes a picture every so many simulated seconds from now on, as long as the world lives: `0000.png` and so on.
+pub(super) async fn take(
+    shared: &SharedWorld,
+    folder: &Path,
+    every_s: f64,
+    from: Viewpoint,
+) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
     let folder: PathBuf = folder.to_owned();
     let (send, pictures) = mpsc::channel::<render::RgbImage>();
@@ -39,14 +50,14 @@ pub(super) async fn take(shared: &SharedWorld, folder: &Path) -> anyhow::Result<
     let lens = Pinhole {
         width: SIZE.0,
         height: SIZE.1,
-        fx_px: 620.0,
-        fy_px: 620.0,
+        fx_px: from.focal_px,
+        fy_px: from.focal_px,
         cx_px: SIZE.0 as f64 / 2.0,
         cy_px: SIZE.1 as f64 / 2.0,
     };
-    let eye = look_at(&Point3::new(0.75, -1.15, 1.0), &Point3::new(0.0, 0.02, 0.12), &Vector3::z());
+    let eye = look_at(&from.eye, &from.target, &Vector3::z());
     shared
-        .watch(EVERY_S, move |world| {
+        .watch(every_s, move |world| {
             // Nobody takes pictures any more only when the program ends.
             send.send(render::picture(world, &lens, &eye)).ok();
         })
