@@ -163,7 +163,7 @@ impl Run<'_> {
             }),
             led = led => {
                 let stood = self.within(Who::Arm, &name, "follow", limit, following).await;
-                led.and_then(|()| stood)
+                led.and(stood)
             }
         };
         if let Err(problem) = led {
