@@ -162,7 +162,7 @@ async fn callers_hear_at_once_that_the_broker_is_away_and_the_service_recovers()
         let client = client.clone();
         tokio::spawn(async move { client.plan_grasps(&slow()).await })
     };
-    eventually("the job runs", async || worker.lines_with(" attempt=1").len() == 2).await;
+    eventually("the job runs", async || worker.lines_with("waited_ms").len() == 2).await;
     let killed = Instant::now();
     installation.broker.kill();
     let running = error(calling.await.unwrap());
