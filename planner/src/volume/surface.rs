@@ -36,8 +36,8 @@ pub struct SurfaceVoxel {
 
 impl Volume {
     /// The voxels at the surface of `solid` (see [`Volume::solid`]), of which the views tell how full they are, or what was
-    /// fused before where none of them shows it; above the table only, whose height is known better. A voxel that nobody has looked into is as full as `solid` says and is not
-    /// listed.
+    /// fused before where none of them shows it; above the table only, whose height is known better. A voxel that nobody has
+    /// looked into is as full as `solid` says and is not listed.
     pub fn surface(&self, solid: &[bool], views: &[View<'_>]) -> Vec<SurfaceVoxel> {
         let n = self.grid.resolution;
         if solid.len() != self.grid.len() || n == 0 {
