@@ -26,7 +26,7 @@ pub(crate) struct DiversityArgs {
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     scenes: u32,
     /// Objects in a scene: at least and at most
-    #[arg(long, default_value = "8,12", value_name = "LEAST,MOST", value_delimiter = ',', num_args = 2)]
+    #[arg(long, default_value = "8,12", value_name = "LEAST,MOST", value_delimiter = ',')]
     objects: Vec<u32>,
     /// Plans of each scene, each with a seed of its own (the paper: 48)
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -132,4 +132,26 @@ pub(crate) fn run(args: &DiversityArgs) -> anyhow::Result<()> {
     }
     write!(std::io::stdout().lock(), "{}", report.text())?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: DiversityArgs,
+    }
+
+    #[test]
+    fn both_numbers_of_objects_are_one_word() {
+        let read = |line: &[&str]| Line::try_parse_from(line).unwrap().args;
+        assert_eq!(read(&["diversity"]).objects, [8, 12]);
+        assert_eq!(read(&["diversity", "--objects", "3,4"]).objects, [3, 4]);
+        let wrong = run(&read(&["diversity", "--objects", "3"])).unwrap_err();
+        assert_eq!(wrong.to_string(), "--objects: found 1 numbers, expected LEAST,MOST");
+    }
 }
