@@ -78,8 +78,22 @@ async fn a_call_that_cannot_finish_is_refused_at_once() {
     assert!(took < whole / 8, "refused after {took:?}, planning takes {whole:?}");
     // Who takes the best so far is served.
     plan.options.as_mut().unwrap().require_complete = false;
-    let answer = client.with_timeout(whole / 2).plan_grasps(&plan).await.unwrap();
-    assert!(answer.stats.unwrap().budget_exhausted);
+    // On a machine with other things to do an answer may come after the deadline that it was meant for.
+    let mut answered = Err(String::new());
+    for _ in 0..5 {
+        answered = match client.with_timeout(whole / 2).plan_grasps(&plan).await {
+            Ok(answer) => Ok(answer),
+            Err(error) => {
+                let error = call_error(Err::<v1::PlanGraspsResponse, _>(error));
+                assert_eq!(error.code, Code::DeadlineExceeded, "{error:?}");
+                Err(format!("{error:?}"))
+            }
+        };
+        if answered.is_ok() {
+            break;
+        }
+    }
+    assert!(answered.unwrap().stats.unwrap().budget_exhausted);
 }
 
 #[tokio::test]
