@@ -3,6 +3,7 @@
 use std::net::IpAddr;
 use std::pin::Pin;
 
+use futures_util::future;
 use futures_util::stream::{self, FuturesUnordered, Stream, StreamExt as _};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::qos::{Durability, History, WhenFull};
@@ -336,19 +337,24 @@ enum Input {
     Call(usize, RmwRequestId),
 }
 
-/// A topic's messages; one that cannot be read is logged and left out.
+/// A topic's messages; one that cannot be read is left out, and logged unless many are.
 fn of<'a, M: Typed>(
     topic: &'a Subscription<M>,
-    message: impl Fn(M) -> Incoming + Copy + 'a,
+    message: impl Fn(M) -> Incoming + 'a,
 ) -> Pin<Box<dyn Stream<Item = Input> + 'a>> {
-    Box::pin(topic.async_stream().filter_map(move |read| async move {
-        match read {
+    let mut unreadable = 0u64;
+    Box::pin(topic.async_stream().filter_map(move |read| {
+        future::ready(match read {
             Ok((read, _)) => Some(Input::Message(message(read))),
             Err(error) => {
-                tracing::warn!(%error, "a {} that cannot be read", M::NAME);
+                unreadable += 1;
+                // Whoever sends such things sends many.
+                if unreadable.is_power_of_two() {
+                    tracing::warn!(%error, count = unreadable, "a {} that cannot be read", M::NAME);
+                }
                 None
             }
-        }
+        })
     }))
 }
 
