@@ -1,10 +1,10 @@
-//! Hands: list, get, create, delete.
+//! Hands: list, get, their shapes, create, delete.
 
 use std::collections::BTreeMap;
 
 use graspd_proto::v1::{
-    CreateHandHeader, CreateHandRequest, DeleteHandRequest, FileChunk, GetHandRequest, Hand,
-    ListHandsRequest, create_hand_request,
+    CreateHandHeader, CreateHandRequest, DeleteHandRequest, FileChunk, GetHandGeometryRequest,
+    GetHandGeometryResponse, GetHandRequest, Hand, ListHandsRequest, create_hand_request,
 };
 
 use crate::client::Client;
@@ -58,6 +58,19 @@ impl Client {
         })
         .await?;
         answer.hand.ok_or(ClientError::Protocol("an answer of GetHand without a hand"))
+    }
+
+    /// The shape of one hand and how its parts move, by its resource name.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn get_hand_geometry(&self, name: &str) -> Result<GetHandGeometryResponse, ClientError> {
+        retried(&self.retry, self.call_timeout, |left| {
+            let request = GetHandGeometryRequest { name: name.to_owned() };
+            let (mut hands, request) = (self.hands.clone(), self.timed(request, left));
+            async move { hands.get_hand_geometry(request).await.map(tonic::Response::into_inner) }
+        })
+        .await
     }
 
     /// Creates a hand from its files (path in the hand's folder → contents), or only checks them. Repeated as plans
