@@ -201,7 +201,7 @@ async fn who_comes_later_sees_what_was_shown_last_and_nothing_else_is_made() {
     // A second one gets the same bytes; they are not made again.
     let mut second = Viewer::at(&live).await;
     second.subscribe(&["/a", "/b"]).await;
-    let mut got = vec![second.data().await, second.data().await, second.data().await];
+    let mut got = [second.data().await, second.data().await, second.data().await];
     got.sort();
     assert_eq!(got.iter().map(|(_, _, text)| text.as_str()).collect::<Vec<_>>(), ["/a 8", "/a 9", "/b 8"]);
     assert_eq!(new.drawn(), ["/a", "/b"]);
@@ -217,7 +217,7 @@ async fn channels_come_and_go_with_the_pictures() {
     let words = viewer.words().await;
     viewer.learn(&words);
     viewer.subscribe(&["/left", "/tf"]).await;
-    let mut got = vec![viewer.data().await, viewer.data().await];
+    let mut got = [viewer.data().await, viewer.data().await];
     got.sort();
     assert_eq!(got, [(100, 1, "/left 1".to_owned()), (101, 1, "/tf 1".to_owned())]);
     let before = viewer.channels.clone();

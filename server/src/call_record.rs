@@ -13,7 +13,7 @@ use crate::convert::duration_message;
 use crate::deadline::CallClock;
 use crate::engine::{Answer, Engine};
 use crate::live;
-use crate::recorder::{Place, Recorder, timestamp, unix_time};
+use crate::recorder::{Place, timestamp, unix_time};
 use crate::status;
 
 /// A call that is being kept. Dropped without being finished, it is not.
@@ -91,7 +91,7 @@ impl Engine {
             live.show(graspd_live::Layer::Plan, live::planned(&call));
         }
         if let Some(recorder) = recorder {
-            Recorder::finish(recorder, call);
+            recorder.finish(call);
         }
     }
 }
