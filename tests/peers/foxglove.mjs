@@ -56,8 +56,9 @@ const checking = setInterval(() => {
   for (const pose of seen) {
     for (const value of pose) if (!printed.has(value)) fail(`${value} is not in the answer`);
   }
-  const { width, height, data } = messages.get("/camera/0/depth").message;
-  if (data.length !== width * height * 4) fail(`depth: ${data.length} bytes of ${width} × ${height}`);
+  const { width, height, step, encoding, data } = messages.get("/camera/0/depth").message;
+  const bytes = { "16UC1": 2, "32FC1": 4 }[encoding];
+  if (step !== width * bytes || data.length !== step * height) fail(`depth: ${data.length} bytes of ${width} × ${height}`);
   console.log(`agree: ${seen.length} grasps on ${messages.size} topics`);
   process.exit(0);
 }, 100);
