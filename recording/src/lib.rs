@@ -36,5 +36,8 @@ pub const OUTCOME_TOPIC: &str = "/graspd/outcomes";
 /// Topic of each answer's figures and stage times, for plots.
 pub const STATS_TOPIC: &str = "/graspd/stats";
 
+/// Topic of the answers to frames of servo streams.
+pub const SERVO_TOPIC: &str = "/servo/answer";
+
 #[cfg(test)]
 mod tests;

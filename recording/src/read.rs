@@ -236,7 +236,7 @@ pub(crate) fn bundles(
             }
             _ => {
                 let messages = vec![Message { topic, schema, data }];
-                let next = (message.sequence, Bundle { time_ns: message.log_time, messages });
+                let next = (message.sequence, Bundle::of(message.log_time, messages));
                 if let Some((sequence, bundle)) = open.replace(next) {
                     each(sequence, bundle).map_err(fault)?;
                 }

@@ -1,5 +1,7 @@
 //! What can be in a recording: messages with their schemas, bundled by call.
 
+use std::collections::BTreeSet;
+
 use prost::Message as _;
 
 use crate::foxglove;
@@ -25,6 +27,8 @@ pub enum Schema {
     PlanStats,
     /// What became of a grasp.
     OutcomeRecord,
+    /// The answer to a frame of a servo stream.
+    ServoAnswer,
 }
 
 impl Schema {
@@ -40,13 +44,14 @@ impl Schema {
             Self::PlanRecord => "graspd.v1.PlanRecord",
             Self::PlanStats => "graspd.v1.PlanStats",
             Self::OutcomeRecord => "graspd.v1.OutcomeRecord",
+            Self::ServoAnswer => "graspd.v1.ServoGraspResponse",
         }
     }
 
     /// Descriptors of the message and of everything that it is made of.
-    pub(crate) fn descriptors(self) -> Vec<u8> {
+    pub fn descriptors(self) -> Vec<u8> {
         match self {
-            Self::PlanRecord | Self::PlanStats | Self::OutcomeRecord => own_descriptors(),
+            Self::PlanRecord | Self::PlanStats | Self::OutcomeRecord | Self::ServoAnswer => own_descriptors(),
             _ => FOXGLOVE.to_vec(),
         }
     }
@@ -79,19 +84,47 @@ impl Message {
     }
 }
 
-/// What belongs together: written as one chunk, with one time and one sequence number.
+/// Of which topics a bundle takes messages.
+#[derive(Debug, Clone, PartialEq, Default)]
+enum Wanted {
+    #[default]
+    All,
+    Only(BTreeSet<String>),
+}
+
+/// What belongs together: written as one chunk, with one time and one sequence number. A bundle may want messages of
+/// some topics alone; the others are not encoded.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Bundle {
     /// When it happened, nanoseconds since 1970.
     pub time_ns: u64,
     /// In the order in which they are written.
     pub messages: Vec<Message>,
+    wanted: Wanted,
+    /// Topics that were offered, where not all are wanted.
+    offered: Vec<(String, Schema)>,
 }
 
 impl Bundle {
     /// Nothing yet, at this time.
     pub fn at(time_ns: u64) -> Self {
-        Self { time_ns, messages: Vec::new() }
+        Self::of(time_ns, Vec::new())
+    }
+
+    /// These messages, at this time.
+    pub fn of(time_ns: u64, messages: Vec<Message>) -> Self {
+        Self { time_ns, messages, wanted: Wanted::All, offered: Vec::new() }
+    }
+
+    /// Nothing yet, at this time, and of these topics alone from now on; [`Self::offered`] tells which others there
+    /// are.
+    pub fn only(time_ns: u64, topics: BTreeSet<String>) -> Self {
+        Self { wanted: Wanted::Only(topics), ..Self::at(time_ns) }
+    }
+
+    /// Every topic that was offered to a bundle made by [`Self::only`], in the order of the first offers.
+    pub fn offered(&self) -> &[(String, Schema)] {
+        &self.offered
     }
 
     /// Bytes of all messages.
@@ -141,7 +174,37 @@ impl Bundle {
 
     /// Adds any message; its type has to be that of the schema.
     pub fn push(&mut self, topic: impl Into<String>, schema: Schema, message: &impl prost::Message) {
-        self.messages.push(Message::new(topic, schema, message));
+        let topic = topic.into();
+        if self.wants(&topic, schema) {
+            self.messages.push(Message::new(topic, schema, message));
+        }
+    }
+
+    /// Adds a message that is made only if it is wanted.
+    pub fn add<M: prost::Message>(
+        &mut self,
+        topic: impl Into<String>,
+        schema: Schema,
+        message: impl FnOnce() -> M,
+    ) {
+        let topic = topic.into();
+        if self.wants(&topic, schema) {
+            self.messages.push(Message::new(topic, schema, &message()));
+        }
+    }
+
+    /// Offers a topic; true if messages of it are wanted.
+    pub fn wants(&mut self, topic: &str, schema: Schema) -> bool {
+        match &self.wanted {
+            Wanted::All => true,
+            Wanted::Only(topics) => {
+                let wanted = topics.contains(topic);
+                if !self.offered.iter().any(|(known, _)| known == topic) {
+                    self.offered.push((topic.to_owned(), schema));
+                }
+                wanted
+            }
+        }
     }
 
     /// The bundle's time on the wire.

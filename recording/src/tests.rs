@@ -90,6 +90,25 @@ fn outcome(n: u8) -> v1::OutcomeRecord {
     }
 }
 
+#[test]
+fn what_is_not_wanted_is_offered_and_not_made() {
+    let depth = depth_topic(0);
+    let mut some = Bundle::only(7, [depth.clone(), "/none".to_owned()].into());
+    some.push_plan(record(1));
+    some.add("/other", Schema::PlanStats, || -> v1::PlanStats { panic!("made") });
+    some.add("/other", Schema::PlanStats, || -> v1::PlanStats { panic!("made") });
+    let offered: Vec<&str> = some.offered().iter().map(|(topic, _)| topic.as_str()).collect();
+    assert_eq!(offered, ["/camera/0/depth", "/camera/2/depth", PLAN_TOPIC, "/other"]);
+    let whole = {
+        let mut whole = Bundle::at(7);
+        whole.push_plan(record(1));
+        whole
+    };
+    assert!(whole.offered().is_empty() && whole.messages.len() == 3);
+    assert_eq!(some.messages, [whole.messages[0].clone()]);
+    assert_eq!(some.messages[0].topic, depth);
+}
+
 const NOW_MS: u64 = 1_800_000_000_000;
 const BUDGET: u64 = LEAST_BUDGET_BYTES;
 

@@ -5,6 +5,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use graspd_hands::Hand;
+use graspd_live::Live;
 use graspd_planner::budget::{Budget as _, Stop};
 use graspd_planner::estimator::ContactEstimator;
 use graspd_planner::grasp::Plan;
@@ -15,6 +16,7 @@ use graspd_proto::v1;
 
 use crate::answers::{Answers, Joined, RequestKey};
 use crate::calibration::Calibration;
+use crate::call_record::CallRecord;
 use crate::caller::Caller;
 use crate::convert::{HandJob, PlanContext, SceneRequest, out_of_time_response, plan_response};
 use crate::deadline::{CallBudget, CallClock, Overrun};
@@ -25,7 +27,7 @@ use crate::health::Health;
 use crate::jobs::JobEngine;
 use crate::metrics::{Metrics, PlanOutcome};
 use crate::pool::{Estimate, Flow, Order, Pool, PoolError, Priority, SceneRoom, Ticket, Turn};
-use crate::recorder::{CallRecord, Recorder, new_plan_id};
+use crate::recorder::{Recorder, new_plan_id};
 use crate::registry::{HandStore, Registry};
 use crate::scenes::{Scenes, SharedScene};
 use crate::trace::{Stages, Tracer, Value};
@@ -60,6 +62,8 @@ pub(crate) struct Engine {
     pub(crate) answers: Arc<Answers>,
     /// Records calls, where somebody wants that.
     pub(crate) recorder: Option<Recorder>,
+    /// Shows calls to viewers, where somebody wants that.
+    pub(crate) live: Option<Live>,
     /// What scores become on their way out.
     pub(crate) calibration: Option<Arc<Calibration>>,
     /// Who is well.
@@ -212,10 +216,10 @@ impl Engine {
 
     /// The one answer of a call leaves.
     pub(crate) fn leaves_alone(&self, record: Option<CallRecord>, task: &Task, answer: &mut Answer) {
-        self.leaves(record.is_some(), answer);
-        if let (Some(recorder), Some(mut record)) = (&self.recorder, record) {
+        self.leaves(record.as_ref().is_some_and(CallRecord::is_recorded), answer);
+        if let Some(mut record) = record {
             record.push(task.id(), Some(task.hand()), answer);
-            recorder.finish(record);
+            self.end_record(record);
         }
     }
 

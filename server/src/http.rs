@@ -50,7 +50,8 @@ pub(crate) const METRICS_TYPE: &str = "application/openmetrics-text; version=1.0
 
 /// Everything that is counted and timed, in the OpenMetrics format.
 pub(crate) fn metrics(engine: &Engine) -> String {
-    engine.metrics.encode(&engine.pool, engine.scenes.read_count(), engine.health.is_ready())
+    let live = engine.live.as_ref().map(graspd_live::Live::counts);
+    engine.metrics.encode(&engine.pool, engine.scenes.read_count(), engine.health.is_ready(), live)
 }
 
 fn answer(request: &Request<Incoming>, engine: &Engine) -> Response<Body> {

@@ -15,6 +15,7 @@ pub mod security;
 pub mod status;
 
 mod answers;
+mod call_record;
 mod caller;
 mod convert;
 mod deadline;
@@ -22,9 +23,11 @@ mod engine;
 mod estimates;
 mod health;
 mod http;
+mod live;
 mod local;
 mod metrics;
 mod page;
+mod picture;
 mod random;
 mod recorder;
 mod scenes;
@@ -35,6 +38,7 @@ mod trace;
 
 pub use deadline::{CallBudget, CancelOnDrop};
 pub use estimators::Estimators;
+pub use graspd_live::LiveConfig;
 pub use local::LocalEngine;
 pub use page::{Example, Page};
 pub use recorder::RecordConfig;

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use bytes::Bytes;
+use graspd_live::Live;
 use graspd_proto::v1;
 use graspd_proto::v1::planner_service_server::PlannerService as _;
 use prost::Message;
@@ -28,8 +29,16 @@ use crate::serve::{AbortOnDrop, ServeError, ServerConfig};
 use crate::service::PlannerApi;
 use crate::trace::{TraceContext, Tracer};
 
+/// What viewers call this server.
+const LIVE_NAME: &str = concat!("graspd ", env!("CARGO_PKG_VERSION"));
+
 /// Loads the hands and starts the planning threads.
 pub(crate) async fn start_engine(config: &ServerConfig) -> Result<Arc<Engine>, ServeError> {
+    // An address that is refused is refused before anything is read.
+    let live = match &config.live {
+        None => None,
+        Some(live) => Some(Live::start(live.clone(), LIVE_NAME).await?),
+    };
     let hands_dir = config.hands_dir.clone();
     let registry = tokio::task::spawn_blocking(move || -> Result<Registry, FolderError> {
         let registry = Registry::with_library();
@@ -59,6 +68,7 @@ pub(crate) async fn start_engine(config: &ServerConfig) -> Result<Arc<Engine>, S
         scenes: Scenes::default(),
         answers: Arc::default(),
         recorder,
+        live,
         calibration: config.calibration.clone().map(Arc::new),
         health: Health::default(),
         tracer: Tracer::start(config.otlp.as_deref())?,
@@ -85,7 +95,7 @@ impl LocalEngine {
     /// # Errors
     /// [`ServeError`] when the folder of hands is not in order, the address of metrics is taken or there are no threads.
     pub async fn start(config: &ServerConfig) -> Result<Self, ServeError> {
-        let config = ServerConfig { engine: None, hand_store: None, ..config.clone() };
+        let config = ServerConfig { engine: None, hand_store: None, live: None, ..config.clone() };
         let engine = start_engine(&config).await?;
         let http = match config.metrics_listen {
             None => None,

@@ -4,6 +4,7 @@ use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::time::Duration;
 
+use graspd_live::Counts;
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
@@ -105,6 +106,8 @@ pub(crate) struct Metrics {
     releases: Family<Within, Gauge>,
     records: Family<Outcome, Counter>,
     recording_bytes: Gauge,
+    live_clients: Gauge,
+    live: Family<Outcome, Counter>,
     ready: Gauge,
 }
 
@@ -131,6 +134,8 @@ impl Default for Metrics {
             releases: Family::default(),
             records: Family::default(),
             recording_bytes: Gauge::default(),
+            live_clients: Gauge::default(),
+            live: Family::default(),
             ready: Gauge::default(),
         };
         let mut registry = Registry::with_prefix("graspd");
@@ -193,6 +198,12 @@ impl Default for Metrics {
             metrics.records.clone(),
         );
         registry.register("recording_bytes", "Disk space of the recording", metrics.recording_bytes.clone());
+        registry.register(
+            "live_clients",
+            "Viewers that are connected to the live view",
+            metrics.live_clients.clone(),
+        );
+        registry.register("live", "What the live view has done, by what became of it", metrics.live.clone());
         registry.register("ready", "1 while calls are taken", metrics.ready.clone());
         Self { registry: Mutex::new(registry), ..metrics }
     }
@@ -272,8 +283,25 @@ impl Metrics {
         }
     }
 
+    /// The live view has counted so much. One at a time.
+    fn live(&self, counts: &Counts) {
+        self.live_clients.set(i64::try_from(counts.clients).unwrap_or(i64::MAX));
+        let outcomes = [
+            ("picture_drawn", counts.drawn),
+            ("picture_superseded", counts.superseded),
+            ("message_sent", counts.sent),
+            ("message_dropped", counts.dropped),
+            ("connection_refused", counts.refused),
+            ("viewer_put_out", counts.put_out),
+        ];
+        for (outcome, count) in outcomes {
+            let counter = self.live.get_or_create(&Outcome { outcome });
+            counter.inc_by(count.saturating_sub(counter.get()));
+        }
+    }
+
     /// Everything as text, with what the pool does right now.
-    pub(crate) fn encode(&self, pool: &Pool, scenes_read: u64, ready: bool) -> String {
+    pub(crate) fn encode(&self, pool: &Pool, scenes_read: u64, ready: bool, live: Option<Counts>) -> String {
         let as_gauge = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
         for (priority, waiting) in Priority::ALL.iter().zip(pool.waiting_by_priority()) {
             self.queue_depth.get_or_create(&ByPriority { priority: priority.name() }).set(as_gauge(waiting));
@@ -290,6 +318,9 @@ impl Metrics {
         self.ready.set(i64::from(ready));
         let mut text = String::new();
         let registry = self.registry.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(counts) = &live {
+            self.live(counts);
+        }
         // Writing to a string cannot fail.
         prometheus_client::encoding::text::encode(&mut text, &registry).ok();
         text

@@ -5,7 +5,6 @@
 //! place, because the disk is slower than the calls, it is not recorded and that is counted; it is planned as any
 //! other.
 
-mod picture;
 mod plans;
 
 use std::path::PathBuf;
@@ -15,20 +14,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use graspd_hands::Hand;
 use graspd_proto::v1;
-use graspd_proto::v1::hand_task_result::Outcome;
-use graspd_proto::v1::plan_record::Request;
 use graspd_recording::{Bundle, Folder, FolderError, PlanId};
-use prost::Message as _;
 use tokio::sync::oneshot;
 
-use crate::convert::duration_message;
-use crate::deadline::CallClock;
-use crate::engine::Answer;
+use crate::call_record::CallRecord;
 use crate::error::ServiceError;
 use crate::metrics::{Metrics, RecordOutcome};
-use crate::status;
+use crate::picture;
 use plans::Plans;
 
 /// Calls that may be held for the recording at the same time.
@@ -74,7 +67,7 @@ struct Held {
 
 /// The place of a call; given back when it is dropped.
 #[derive(Debug)]
-struct Place {
+pub(crate) struct Place {
     held: Arc<Held>,
     bytes: usize,
 }
@@ -93,31 +86,6 @@ impl Drop for Place {
     fn drop(&mut self) {
         self.held.calls.fetch_sub(1, Ordering::Relaxed);
         self.held.bytes.fetch_sub(self.bytes, Ordering::Relaxed);
-    }
-}
-
-/// A call that is being recorded. Dropped without being finished, it is not.
-#[derive(Debug)]
-pub(crate) struct CallRecord {
-    place: Place,
-    clock: CallClock,
-    time_ns: u64,
-    record: v1::PlanRecord,
-    /// Hands of the answers.
-    hands: Vec<Arc<Hand>>,
-}
-
-impl CallRecord {
-    /// One task has ended.
-    pub(crate) fn push(&mut self, task_id: &str, hand: Option<&Arc<Hand>>, answer: &Answer) {
-        let outcome = match answer {
-            Ok(response) => Outcome::Response(response.clone()),
-            Err(error) => Outcome::Error(status::task_error(error)),
-        };
-        self.record.results.push(v1::HandTaskResult { task_id: task_id.to_owned(), outcome: Some(outcome) });
-        if let Some(hand) = hand {
-            self.hands.push(Arc::clone(hand));
-        }
     }
 }
 
@@ -150,42 +118,22 @@ impl Recorder {
         })
     }
 
-    /// A call begins; it is recorded if it asks for it, or by its share, and if there is a place for it.
-    pub(crate) fn begin(
-        &self,
-        asked: bool,
-        clock: &CallClock,
-        trace_id: String,
-        request: impl FnOnce() -> Request,
-    ) -> Option<CallRecord> {
-        if !asked && crate::random::unit() >= self.share {
-            return None;
-        }
-        let request = request();
-        let bytes = match &request {
-            Request::PlanGrasps(plan) => plan.encoded_len(),
-            Request::PlanMultiHand(plan) => plan.encoded_len(),
-        };
-        let Some(place) = Place::take(&self.held, bytes) else {
+    /// True if a call is to be recorded: because it asks for it, or by its share.
+    pub(crate) fn wants(&self, asked: bool) -> bool {
+        asked || crate::random::unit() < self.share
+    }
+
+    /// A place for a request of so many bytes, if there is one.
+    pub(crate) fn place(&self, bytes: usize) -> Option<Place> {
+        let place = Place::take(&self.held, bytes);
+        if place.is_none() {
             self.metrics.recorded(RecordOutcome::Dropped);
-            return None;
-        };
-        let since = unix_time();
-        let record = v1::PlanRecord {
-            server_version: env!("CARGO_PKG_VERSION").to_owned(),
-            receive_time: Some(timestamp(since)),
-            request: Some(request),
-            timeout: clock.timeout.map(duration_message),
-            trace_id,
-            ..v1::PlanRecord::default()
-        };
-        let time_ns = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX);
-        Some(CallRecord { place, clock: *clock, time_ns, record, hands: Vec::new() })
+        }
+        place
     }
 
     /// A call has ended: hands it to the thread that writes.
-    pub(crate) fn finish(&self, mut call: CallRecord) {
-        call.record.total_duration = Some(duration_message(call.clock.elapsed()));
+    pub(crate) fn finish(&self, call: CallRecord) {
         self.send(Work::Call(Box::new(call)));
     }
 
@@ -262,7 +210,9 @@ fn write(mut folder: Folder, work: &Receiver<Work>, metrics: &Metrics) {
                 let last = LAST_NS.fetch_max(time_ns, Ordering::Relaxed);
                 let time_ns =
                     if time_ns > last { time_ns } else { LAST_NS.fetch_add(1, Ordering::Relaxed) + 1 };
-                (picture::bundle(time_ns, record, &hands), None, Some(place))
+                let mut bundle = Bundle::at(time_ns);
+                picture::draw_call(&mut bundle, record, &hands);
+                (bundle, None, place)
             }
             Work::Outcome(outcome, told) => {
                 let mut bundle = Bundle::at(u64::try_from(unix_time().as_nanos()).unwrap_or(u64::MAX));
@@ -297,7 +247,8 @@ pub(crate) fn unix_time() -> Duration {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
 }
 
-fn timestamp(since: Duration) -> prost_types::Timestamp {
+/// A time since 1970 on the wire.
+pub(crate) fn timestamp(since: Duration) -> prost_types::Timestamp {
     prost_types::Timestamp {
         seconds: i64::try_from(since.as_secs()).unwrap_or(i64::MAX),
         nanos: i32::try_from(since.subsec_nanos()).unwrap_or(0),

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use graspd_live::LiveConfig;
 use graspd_proto::v1::hand_service_server::HandServiceServer;
 use graspd_proto::v1::info_service_server::InfoServiceServer;
 use graspd_proto::v1::planner_service_server::PlannerServiceServer;
@@ -75,6 +76,8 @@ pub struct ServerConfig {
     pub otlp: Option<String>,
     /// What is recorded. Default: nothing.
     pub record: Option<RecordConfig>,
+    /// The live view for Foxglove and its like. Default: none.
+    pub live: Option<LiveConfig>,
     /// What scores become on their way out. Default: they stay as the planner makes them.
     pub calibration: Option<Calibration>,
     /// Who plans. Default: this process.
@@ -102,6 +105,7 @@ impl Default for ServerConfig {
             estimators: Estimators::default(),
             otlp: None,
             record: None,
+            live: None,
             calibration: None,
             engine: None,
             hand_store: None,
@@ -153,6 +157,9 @@ pub enum ServeError {
     /// The collector of traces has no address that can be used.
     #[error(transparent)]
     Collector(#[from] WrongCollector),
+    /// There can be no live view.
+    #[error(transparent)]
+    Live(#[from] graspd_live::LiveError),
     /// The recording cannot be kept.
     #[error(transparent)]
     Recording(#[from] graspd_recording::FolderError),
@@ -250,6 +257,11 @@ impl Server {
         self.http.as_ref().and_then(|listener| listener.local_addr().ok())
     }
 
+    /// The address of the live view, if there is one, with its real port.
+    pub fn live_addr(&self) -> Option<SocketAddr> {
+        self.engine.live.as_ref().map(graspd_live::Live::local_addr)
+    }
+
     /// What a store of hands tells of hands that come and go.
     pub fn hands(&self) -> HandSync {
         HandSync::new(Arc::clone(&self.engine))
@@ -269,6 +281,9 @@ impl Server {
         let engine = Arc::clone(&self.engine);
         let ended = self.serve(shutdown).await;
         engine.tracer.close().await;
+        if let Some(live) = &engine.live {
+            live.close().await;
+        }
         // What was answered is written before the process ends.
         let written = tokio::task::spawn_blocking(move || engine.recorder.as_ref().map(Recorder::close));
         if tokio::time::timeout(RECORD_GRACE, written).await.is_err() {

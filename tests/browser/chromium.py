@@ -24,7 +24,7 @@ KEYS = {
 class Browser:
     """A browser of its own, with an empty profile that goes with it."""
 
-    def __init__(self, program: str):
+    def __init__(self, program: str, *more_flags: str):
         self.profile = tempfile.TemporaryDirectory(prefix="graspd-browser-", ignore_cleanup_errors=True)
         # The browser reads commands from 3 and writes answers to 4.
         commands, self.writer = os.pipe()
@@ -49,6 +49,7 @@ class Browser:
             "--use-angle=swiftshader",
             "--enable-unsafe-swiftshader",
             f"--user-data-dir={self.profile.name}",
+            *more_flags,
         ]
         self.process = subprocess.Popen(
             [program, *flags, "about:blank"],

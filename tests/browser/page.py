@@ -1,6 +1,8 @@
 """The server's page in a real browser, as a person uses it: looks, clicks, keys, dropped files, tokens.
 
-    page.py BROWSER OUT --server URL [--tokens URL TOKEN] --assets DIR --recording FILE
+    page.py BROWSER OUT --server URL [--tokens URL TOKEN] [--tls URL KEY TOKEN] --assets DIR --recording FILE
+
+KEY is the base64 of the SHA-256 of the public key of a certificate that no authority of the browser has signed.
 
 Screenshots for people go to OUT. Ends with "all checks passed", or with the check that did not.
 """
@@ -67,7 +69,7 @@ def text(tab: Tab, name: str) -> str:
     return tab.js(f"document.getElementById({json.dumps(name)}).innerText")
 
 
-def looks(tab: Tab, out: Path) -> None:
+def looks(tab: Tab, out: Path, name: str = "page-light.png") -> None:
     """What is there once the example frame is planned."""
     tab.wait(PLANNED)
     picture = still(tab)
@@ -81,7 +83,7 @@ def looks(tab: Tab, out: Path) -> None:
     assert "contact candidates" in text(tab, "hands"), "the selected hand tells of its pads"
     assert text(tab, "failed") == ""
     tab.wait("/running/.test(document.getElementById('load').innerText) && document.getElementById('load').innerText.match(/\\d ms|\\d s/)")
-    tab.screenshot(str(out / "page-light.png"))
+    tab.screenshot(str(out / name))
 
 
 def mouse(tab: Tab, out: Path) -> None:
@@ -255,6 +257,49 @@ def tokens(tab: Tab, url: str, token: str) -> None:
     tab.wait("/running/.test(document.getElementById('load').innerText)")
 
 
+def encrypted(program: str, out: Path, url: str, key: str, token: str) -> None:
+    """The page over TLS: a certificate that is not trusted is not, one whose key is known is; then a token, and a plan."""
+    browser = Browser(program)
+    try:
+        answer = Tab(browser, 1280, 800).send("Page.navigate", url=url)
+        assert "ERR_CERT" in answer.get("errorText", ""), answer
+    finally:
+        browser.close()
+    browser = Browser(program, f"--ignore-certificate-errors-spki-list={key}")
+    try:
+        tab = Tab(browser, 1280, 800)
+        tab.theme("light")
+        tokens(tab, url, token)
+        assert tab.js("isSecureContext && performance.getEntriesByType('navigation')[0].nextHopProtocol") == "h2"
+        looks(tab, out, "page-tls.png")
+        quiet(tab, url, ("401",))
+    finally:
+        browser.close()
+
+
+def without_picture(program: str, url: str) -> None:
+    """A browser without WebGL: everything but the picture works."""
+    browser = Browser(program, "--disable-3d-apis")
+    try:
+        tab = Tab(browser, 1280, 800)
+        tab.open(url)
+        tab.wait(PLANNED)
+        assert "No picture" in text(tab, "stage") and text(tab, "failed") == ""
+        assert tab.js("document.querySelectorAll('#rejected tr').length") > 3
+        figures = tab.js("document.getElementById('figures').textContent")
+        tab.click("#ranks [data-rank='1']")
+        assert pressed(tab, "#ranks [data-rank='1']")
+        assert tab.js("document.getElementById('figures').textContent") != figures
+        tab.js("document.activeElement.blur()")
+        tab.key("1")
+        assert tab.js("document.getElementById('moment').getAttribute('aria-valuetext')") == "pre-grasp"
+        tab.click("#hands [data-hand='hands/allegro']")
+        assert "Not planned yet" in text(tab, "answer-about") and text(tab, "failed") == ""
+        quiet(tab, url)
+    finally:
+        browser.close()
+
+
 def pictures(tab: Tab, out: Path) -> None:
     """Pictures of the documents that no check makes: the contact field alone."""
     hidden = ["hand", "pads", "contacts", "others", "volume"]
@@ -287,6 +332,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--server", required=True)
     parser.add_argument("--tokens", nargs=2)
+    parser.add_argument("--tls", nargs=3)
     parser.add_argument("--assets", type=Path, required=True)
     parser.add_argument("--recording", type=Path, required=True)
     parser.add_argument("--pictures", action="store_true", help="pictures of the documents too")
@@ -311,11 +357,16 @@ def main() -> None:
             tab.open(args.server)
             looks(tab, args.out)
             pictures(tab, args.out)
+        without_picture(args.browser, args.server)
+        print("without picture: done")
         if args.tokens:
             asked = Tab(browser, 1280, 800)
             tokens(asked, *args.tokens)
             quiet(asked, args.tokens[0], ("401",))
             print("tokens: done")
+        if args.tls:
+            encrypted(args.browser, args.out, *args.tls)
+            print("tls: done")
     finally:
         browser.close()
     print("all checks passed")

@@ -22,6 +22,8 @@ pub struct TestServer {
     pub load: LoadProbe,
     /// Where its metrics are.
     pub metrics: Option<SocketAddr>,
+    /// Where its live view is.
+    pub live: Option<SocketAddr>,
     stop: oneshot::Sender<()>,
     ended: JoinHandle<Result<(), ServeError>>,
 }
@@ -60,11 +62,12 @@ impl TestServer {
             Err(error) => panic!("{error}"),
         };
         let (addr, load, metrics) = (server.local_addr(), server.load(), server.metrics_addr());
+        let live = server.live_addr();
         let (stop, stopped) = oneshot::channel();
         let ended = tokio::spawn(server.serve_until(async {
             stopped.await.ok();
         }));
-        Self { addr, load, metrics, stop, ended }
+        Self { addr, load, metrics, live, stop, ended }
     }
 
     /// Address for clients.

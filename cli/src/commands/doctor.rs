@@ -100,6 +100,9 @@ fn start(config: &ServerConfig) -> anyhow::Result<Finding> {
     let mut config = config.clone();
     config.listen.set_port(0);
     config.metrics_listen = None;
+    if let Some(live) = &mut config.live {
+        live.listen.set_port(0);
+    }
     // A server that runs keeps its folder to itself.
     config.record = None;
     Ok(match runtime.block_on(Server::bind(config)) {

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use clap::Args;
 use graspd_server::calibration::Calibration;
-use graspd_server::{Example, Page, RecordConfig, Server, ServerConfig, shutdown_signal};
+use graspd_server::{Example, LiveConfig, Page, RecordConfig, Server, ServerConfig, shutdown_signal};
 
 use crate::demo_scene;
 use crate::estimators::EstimatorArgs;
@@ -67,6 +67,12 @@ pub(crate) struct ServeArgs {
     /// Disk space of the recording, for example 500MB or 2GiB; the oldest files go first [default: 2GiB]
     #[arg(long, env = "GRASPD_RECORD_BUDGET", value_name = "SIZE", value_parser = parse_size)]
     record_budget: Option<u64>,
+    /// Address of the live view for Foxglove and its like: loopback alone, for example 127.0.0.1:8765
+    #[arg(long, env = "GRASPD_LIVE", value_name = "ADDRESS:PORT")]
+    live: Option<SocketAddr>,
+    /// Origin of a viewer's page elsewhere that may look too, for example https://app.foxglove.dev
+    #[arg(long, env = "GRASPD_LIVE_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
+    live_origin: Vec<String>,
     /// Calibration of the score for this site, as graspd recalibrate writes it
     #[arg(long, env = "GRASPD_CALIBRATION", value_name = "FILE")]
     calibration: Option<PathBuf>,
@@ -120,6 +126,17 @@ impl ServeArgs {
         config.hands_dir = self.hands_dir.clone().or(config.hands_dir);
         config.estimators = self.estimator.all()?;
         config.otlp = self.otlp.clone().or(config.otlp);
+        if let Some(listen) = self.live {
+            let live = config.live.get_or_insert_with(|| LiveConfig::at(listen));
+            live.listen = listen;
+        }
+        match &mut config.live {
+            Some(live) => live.origins.extend(self.live_origin.iter().cloned()),
+            None => anyhow::ensure!(
+                self.live_origin.is_empty(),
+                "--live-origin: expected --live ADDRESS:PORT with it"
+            ),
+        }
         if let Some(path) = &self.calibration {
             config.calibration = Some(calibration(path).context("--calibration")?);
         }
@@ -250,6 +267,19 @@ mod tests {
         for wrong in ["", "MB", "1.2.3MB", "2 parsec", "-1", "1e9", "9999999TB"] {
             assert!(parse_size(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn a_live_view_has_an_address_and_origins() {
+        let parse = |flags: &str| {
+            Only::parse_from(["serve"].into_iter().chain(flags.split_whitespace())).serve.config()
+        };
+        assert_eq!(parse("").unwrap().live, None);
+        let live = parse("--live 127.0.0.1:8765 --live-origin https://a.example,https://b.example").unwrap();
+        let live = live.live.unwrap();
+        assert_eq!((live.listen.port(), live.origins.len()), (8765, 2));
+        let missing = parse("--live-origin https://a.example").unwrap_err();
+        assert!(missing.to_string().contains("expected --live ADDRESS:PORT"));
     }
 
     #[test]

@@ -32,6 +32,21 @@ pub(crate) struct EncodedFrame {
     pub(crate) capture_time: Option<prost_types::Timestamp>,
 }
 
+/// Pixels without a file around them.
+#[derive(Debug)]
+pub(crate) struct RawPixels<'a> {
+    /// Pixels in a row.
+    pub(crate) width: usize,
+    /// Rows.
+    pub(crate) height: usize,
+    /// As viewers call it: `16UC1` or `32FC1`.
+    pub(crate) encoding: &'static str,
+    /// Bytes of a pixel.
+    pub(crate) pixel_bytes: u32,
+    /// Row by row, little-endian.
+    pub(crate) data: &'a Bytes,
+}
+
 impl EncodedFrame {
     /// Checks a frame at `path`, for example `frames[0]`.
     pub(crate) fn parse(wire: v1::DepthFrame, path: String) -> Result<Self, FieldError> {
@@ -74,6 +89,17 @@ impl EncodedFrame {
             camera_frame_id,
             capture_time: wire.capture_time,
         })
+    }
+
+    /// Pixels as they were sent, unless they are a PNG.
+    pub(crate) fn raw_pixels(&self) -> Option<RawPixels<'_>> {
+        let (encoding, pixel_bytes) = match self.encoding {
+            DepthEncoding::RawU16 { .. } => ("16UC1", 2),
+            DepthEncoding::RawF32 => ("32FC1", 4),
+            DepthEncoding::PngU16 { .. } => return None,
+        };
+        let (width, height) = self.size;
+        Some(RawPixels { width, height, encoding, pixel_bytes, data: &self.data })
     }
 
     /// True when every pixel may carry an object label.

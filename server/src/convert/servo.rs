@@ -108,6 +108,20 @@ impl EncodedServoFrame {
         Ok(Self { sequence: wire.sequence, frame, hand })
     }
 
+    /// The frame, if the posture that it tells is one of a hand with so many joints.
+    pub(crate) fn of_hand(self, joints: usize) -> Result<Self, FieldError> {
+        let told = self.hand.as_ref().map_or(0, |hand| hand.joints.len());
+        if told != 0 && told != joints {
+            let expected = format!("{joints} positions in the order of Hand.joints, or none");
+            return Err(FieldError::value(
+                "frame.hand.joint_positions",
+                format!("{told} positions"),
+                expected,
+            ));
+        }
+        Ok(self)
+    }
+
     /// When it was taken, where it says so: time since the epoch of the caller's clock.
     pub(crate) fn captured(&self) -> Option<Duration> {
         let stamp = self.frame.capture_time?;

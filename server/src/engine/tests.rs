@@ -63,6 +63,7 @@ fn engine(scene_room: usize) -> Arc<Engine> {
         metrics: Arc::default(),
         answers: Arc::default(),
         recorder: None,
+        live: None,
         calibration: None,
         health: Health::default(),
         tracer: Tracer::default(),

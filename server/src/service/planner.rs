@@ -16,12 +16,12 @@ use tonic::{Request, Response, Status};
 
 use super::{caller, clock};
 use crate::answers::{Joined, Leader, RequestKey};
+use crate::call_record::CallRecord;
 use crate::caller::Caller;
 use crate::convert::{self, AssignmentJob, HandJobs, Parsed, count_message, duration_message};
 use crate::deadline::{CallClock, CancelOnDrop};
 use crate::engine::{Answer, Begun, Call, Engine, OnBetter, Repeatable, Task, Wire};
 use crate::error::{FieldError, ServiceError};
-use crate::recorder::CallRecord;
 use crate::status;
 
 /// The planning service.
@@ -116,7 +116,7 @@ impl PlannerService for PlannerApi {
         let asked = asked(&request.request_id, &request);
         let mut record = self.record(request.record, &clock, || Recorded::PlanMultiHand(request.clone()));
         let wire = self.engine.wire(&request, &caller.name);
-        let is_recorded = record.is_some();
+        let is_recorded = record.as_ref().is_some_and(CallRecord::is_recorded);
         let Parsed { scene, jobs, request_id } = convert::multi_hand(request).map_err(ServiceError::from)?;
         let HandJobs { jobs, assignment } = jobs;
         let tasks =
@@ -152,8 +152,8 @@ impl PlannerService for PlannerApi {
                     sender.send(Err(call.late("with hands that have no answer").into())).await.ok();
                 }
             }
-            if let (Some(recorder), Some(record)) = (&engine.recorder, record) {
-                recorder.finish(record);
+            if let Some(record) = record {
+                engine.end_record(record);
             }
         });
         Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
@@ -179,14 +179,14 @@ impl PlannerService for PlannerApi {
 }
 
 impl PlannerApi {
-    /// Begins to record a call, if it is to be.
+    /// Begins to keep a call, if it is to be recorded or shown.
     fn record(
         &self,
         asked: bool,
         clock: &CallClock,
         request: impl FnOnce() -> Recorded,
     ) -> Option<CallRecord> {
-        self.engine.recorder.as_ref()?.begin(asked, clock, clock.trace.id_text(), request)
+        self.engine.begin_record(asked, clock, request)
     }
 }
 

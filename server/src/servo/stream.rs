@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use graspd_hands::Hand;
+use graspd_live::Layer;
 use graspd_planner::budget::Stop;
 use graspd_planner::servo::{Answer, Counters, Refused, Servo, ServoFrame, State};
 use graspd_proto::v1;
@@ -18,6 +19,7 @@ use crate::convert::{EncodedServoFrame, ServoWords, servo_answer};
 use crate::deadline::{CallBudget, CallClock};
 use crate::engine::Engine;
 use crate::error::{FieldError, ServiceError};
+use crate::live::followed;
 use crate::metrics::{Metrics, PlanOutcome};
 use crate::pool::{Estimate, Flow, Order, PoolError, Priority};
 use crate::status;
@@ -114,7 +116,8 @@ impl ServoStream {
         let _cancel = self.budget.cancel_on_drop();
         let newest: Arc<Newest<Arrived, Status>> = Arc::new(Newest::new());
         let refused: Arc<Mutex<(u64, String)>> = Arc::default();
-        let reading = read(messages, Arc::clone(&newest), Arc::clone(&refused), self.idle);
+        let joints = self.hand.tree.joints.len();
+        let reading = read(messages, Arc::clone(&newest), Arc::clone(&refused), (joints, self.idle));
         let due = self.clock.answer_deadline();
         let clock = self.clock;
         let expired = async move {
@@ -125,8 +128,8 @@ impl ServoStream {
         };
         let gone = sender.clone();
         let last_word = sender.clone();
-        let working = self.work(&newest, &refused, sender);
-        tokio::pin!(reading, working);
+        let mut working = Box::pin(self.work(&newest, &refused, sender));
+        tokio::pin!(reading);
         let mut is_reading = true;
         let end = tokio::select! {
             biased;
@@ -141,6 +144,8 @@ impl ServoStream {
                 }
             } => end,
         };
+        // It may hold the place in which the last word goes.
+        drop(working);
         if let Err(error) = end {
             // A reader that does not read does not get to know either.
             last_word.try_send(Err(error)).ok();
@@ -186,6 +191,7 @@ impl ServoStream {
             let Arrived { frame, at } = arrived;
             let (capture_time, sequence) = (frame.frame.capture_time, frame.sequence);
             let names = (frame.frame.world_frame_id.clone(), frame.frame.camera_frame_id.clone());
+            let seen = engine.live.as_ref().map(|_| frame.frame.clone());
             let captured = frame.captured().unwrap_or_else(|| at.saturating_duration_since(clock.arrived));
             let job_servo = Arc::clone(&servo);
             let job_budget = budget.clone();
@@ -274,7 +280,11 @@ impl ServoStream {
                 calibration: engine.calibration.as_deref(),
             };
             tracing::trace!(sequence, state = ?answer.state, tracking = answer.state == State::Tracking, "servo");
-            permit.send(Ok(servo_answer(&answer, words)));
+            let answer = servo_answer(&answer, words);
+            if let (Some(live), Some(seen)) = (&engine.live, seen) {
+                live.show(Layer::Servo, followed(seen, answer.clone(), &hand));
+            }
+            permit.send(Ok(answer));
         }
     }
 }
@@ -303,7 +313,7 @@ async fn read(
     mut messages: Streaming<v1::ServoGraspRequest>,
     newest: Arc<Newest<Arrived, Status>>,
     refused: Arc<Mutex<(u64, String)>>,
-    idle: Duration,
+    (joints, idle): (usize, Duration),
 ) {
     loop {
         let message = match tokio::time::timeout(idle, messages.message()).await {
@@ -332,7 +342,7 @@ async fn read(
             }
         };
         let (sequence, at) = (wire.sequence, Instant::now());
-        match EncodedServoFrame::parse(wire) {
+        match EncodedServoFrame::parse(wire).and_then(|frame| frame.of_hand(joints)) {
             Ok(frame) => newest.put(Arrived { frame, at }),
             Err(fault) => {
                 let mut refused = refused.lock().unwrap_or_else(PoisonError::into_inner);

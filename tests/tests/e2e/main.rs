@@ -9,6 +9,7 @@ mod deadlines;
 mod frames;
 mod hands;
 mod lifecycle;
+mod live;
 mod page;
 mod planning;
 mod python;

@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
+use base64::Engine as _;
 use graspd_planner::estimator::Geometric;
 use graspd_proto::v1;
 use graspd_server::security::{Access, Role, Token};
 use graspd_server::{Estimators, Example, Page, ServerConfig};
 use graspd_tests::{BoxScene, TestServer};
 use prost::Message;
+use rcgen::{KeyPair, PublicKeyData as _};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
@@ -343,6 +345,14 @@ async fn a_person_uses_the_page_in_a_browser() {
     let guarded =
         TestServer::start_with(ServerConfig { access: tokens(), estimators: estimators(), ..with_page() })
             .await;
+    let authority = crate::security::Authority::new("page");
+    let tls = authority.files(false);
+    let key = KeyPair::from_pem(&std::fs::read_to_string(&tls.key).unwrap()).unwrap();
+    let key = ring::digest::digest(&ring::digest::SHA256, &key.subject_public_key_info());
+    let key = base64::engine::general_purpose::STANDARD.encode(key);
+    let config = ServerConfig { tls: Some(tls), access: tokens(), estimators: estimators(), ..with_page() };
+    let encrypted = TestServer::start_with(config).await;
+    let encrypted_url = format!("https://localhost:{}", encrypted.addr.port());
     let (url, guarded_url) = (server.endpoint(), guarded.endpoint());
     let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("page");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("browser/page.py");
@@ -351,7 +361,8 @@ async fn a_person_uses_the_page_in_a_browser() {
             .arg("-B")
             .arg(script)
             .args([&browser, &out])
-            .args(["--server", &url, "--tokens", &guarded_url, "controller", "--assets"])
+            .args(["--server", &url, "--tokens", &guarded_url, "controller"])
+            .args(["--tls", &encrypted_url, &key, "controller", "--assets"])
             .arg(assets())
             .arg("--recording")
             .arg(recording)

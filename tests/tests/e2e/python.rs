@@ -20,9 +20,9 @@ const NO_NETWORK: [&str; 5] = [
 ];
 
 /// Set to 1 where the test must run: then a missing Python or network is a failure.
-const REQUIRED: &str = "GRASPD_REQUIRE_PYTHON";
+pub(crate) const REQUIRED: &str = "GRASPD_REQUIRE_PYTHON";
 
-fn required(value: Option<&str>) -> bool {
+pub(crate) fn required(value: Option<&str>) -> bool {
     value.is_some_and(|v| !matches!(v, "" | "0"))
 }
 
@@ -35,12 +35,12 @@ fn run(command: &mut Command) -> Output {
     command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"))
 }
 
-fn text(output: &Output) -> String {
+pub(crate) fn text(output: &Output) -> String {
     String::from_utf8_lossy(&[output.stdout.as_slice(), &output.stderr].concat()).into_owned()
 }
 
 /// Makes (or finds) the virtual environment; the reason why there is none.
-fn environment(folder: &Path, packages: &[&str]) -> Result<PathBuf, String> {
+pub(crate) fn environment(folder: &Path, packages: &[&str]) -> Result<PathBuf, String> {
     let python = folder.join("bin/python");
     let ready = folder.join("graspd-test-ready");
     if ready.exists() {

@@ -23,14 +23,14 @@ use tonic::transport::Channel;
 use crate::{GRIPPER, call_error, request, request_with};
 
 /// A certificate authority of one test, and a folder for its files that is removed at the end.
-struct Authority {
+pub(crate) struct Authority {
     issuer: Issuer<'static, KeyPair>,
     root_pem: String,
     folder: PathBuf,
 }
 
 impl Authority {
-    fn new(name: &str) -> Self {
+    pub(crate) fn new(name: &str) -> Self {
         let mut params = CertificateParams::new(Vec::new()).unwrap();
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
         let key = KeyPair::generate().unwrap();
@@ -60,7 +60,7 @@ impl Authority {
         fs::write(self.folder.join("roots.pem"), &self.root_pem).unwrap();
     }
 
-    fn files(&self, clients: bool) -> Tls {
+    pub(crate) fn files(&self, clients: bool) -> Tls {
         self.write_server(self);
         Tls {
             certificate: self.folder.join("server.pem"),

@@ -118,6 +118,9 @@ async fn frames_that_cannot_be_looked_at_are_counted_and_explained() {
     without_pose.frame.as_mut().unwrap().camera_pose = None;
     let mut bad_hand = frame(13);
     bad_hand.hand = Some(HandPosture { wrist_pose: None, joint_positions: vec![] });
+    let mut joints_missing = frame(15);
+    let camera_pose = joints_missing.frame.as_ref().unwrap().camera_pose.clone().unwrap();
+    joints_missing.hand = Some(HandPosture { wrist_pose: camera_pose.pose, joint_positions: vec![0.0; 200] });
     let cases = [
         (frame(5), 6, "came before"),
         (frame(3), 8, "older"),
@@ -125,6 +128,7 @@ async fn frames_that_cannot_be_looked_at_are_counted_and_explained() {
         (broken, 10, "frame.frame.data"),
         (without_pose, 12, "frame.frame.camera_pose"),
         (bad_hand, 14, "frame.hand.wrist_pose"),
+        (joints_missing, 16, "frame.hand.joint_positions"),
     ];
     let mut at = 6;
     for (bad, _, why) in cases {
@@ -147,7 +151,7 @@ async fn frames_that_cannot_be_looked_at_are_counted_and_explained() {
     let answer = next(&mut stream).await;
     assert_eq!(answer.refused, "", "told once");
     let c = answer.counters.unwrap();
-    assert_eq!((c.late_count + c.repeated_count, c.wild_count, c.invalid_count), (2, 1, 3), "{c:?}");
+    assert_eq!((c.late_count + c.repeated_count, c.wild_count, c.invalid_count), (2, 1, 4), "{c:?}");
 }
 
 #[tokio::test]
@@ -225,6 +229,22 @@ async fn a_stream_in_which_nothing_happens_is_ended() {
     let mut stream = server.client().await.servo_grasp(config()).await.unwrap();
     let error = call_error(stream.next().await);
     assert_eq!((error.code, error.reason.as_str()), (Code::DeadlineExceeded, "IDLE_STREAM"));
+}
+
+#[tokio::test]
+async fn a_stream_that_reaches_its_deadline_says_so() {
+    let server = TestServer::start().await;
+    let mut raw = wire::servo_service_client::ServoServiceClient::connect(server.endpoint()).await.unwrap();
+    let (sender, receiver) = tokio::sync::mpsc::channel(4);
+    let message = Some(wire::servo_grasp_request::Message::Config(config()));
+    sender.send(wire::ServoGraspRequest { message }).await.unwrap();
+    let mut request = tonic::Request::new(tokio_stream::wrappers::ReceiverStream::new(receiver));
+    request.set_timeout(Duration::from_millis(700));
+    let mut answers = raw.servo_grasp(request).await.unwrap().into_inner();
+    // No frame comes: the place for an answer is free, and held by whoever would answer.
+    let status = answers.message().await.unwrap_err();
+    assert_eq!(status.code(), Code::DeadlineExceeded, "{status:?}");
+    drop(sender);
 }
 
 #[tokio::test]

@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::{Context as _, ensure};
 use graspd_server::pool::Priority;
 use graspd_server::security::{Certificate, Role, Tls, Token};
-use graspd_server::{RecordConfig, ServerConfig};
+use graspd_server::{LiveConfig, RecordConfig, ServerConfig};
 use serde::Deserialize;
 
 #[derive(Debug, Default, Deserialize)]
@@ -25,6 +25,7 @@ struct File {
     planning: Planning,
     tls: Option<TlsTable>,
     record: Option<RecordTable>,
+    live: Option<LiveTable>,
     #[serde(default)]
     limits: LimitsTable,
     #[serde(default)]
@@ -48,6 +49,15 @@ struct RecordTable {
     folder: PathBuf,
     share: Option<f64>,
     budget_mib: Option<u32>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LiveTable {
+    listen: SocketAddr,
+    #[serde(default)]
+    origins: Vec<String>,
+    clients: Option<u32>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -120,6 +130,7 @@ pub(super) fn parse(text: &str) -> anyhow::Result<(ServerConfig, Option<bool>)> 
         );
     }
     config.record = file.record.map(record).transpose()?;
+    config.live = file.live.map(live).transpose()?;
     limits(&mut config, &file.limits)?;
     let entry = |kind: &str, i: usize, entry: &Entry| -> anyhow::Result<(Role, [u8; 32], Option<Priority>)> {
         let at = |key: &str| format!("{kind}[{i}].{key} ({:?})", entry.name);
@@ -160,6 +171,12 @@ fn record(file: RecordTable) -> anyhow::Result<RecordConfig> {
     set(&mut mib, "record.budget_mib", file.budget_mib, (16, u32::MAX))?;
     record.budget_bytes = (mib as u64) << 20;
     Ok(record)
+}
+
+fn live(file: LiveTable) -> anyhow::Result<LiveConfig> {
+    let mut live = LiveConfig { origins: file.origins, ..LiveConfig::at(file.listen) };
+    set(&mut live.clients, "live.clients", file.clients, (1, 1000))?;
+    Ok(live)
 }
 
 fn limits(config: &mut ServerConfig, file: &LimitsTable) -> anyhow::Result<()> {
@@ -253,6 +270,8 @@ mod tests {
                 "[record]\nfolder = \"r\"\nbudget_mib = 1".to_owned(),
                 "record.budget_mib: found 1, expected 16",
             ),
+            ("[live]\nlisten = \"127.0.0.1:0\"\nclients = 0".to_owned(), "live.clients: found 0, expected 1"),
+            ("[live]\norigins = []".to_owned(), "missing field `listen`"),
             ("drain_seconds = nan".to_owned(), "drain_seconds: found NaN"),
             (
                 format!("[[token]]\nname = \"arm\"\nrole = \"controller\"\nsha256 = \"{hash}\""),

@@ -15,8 +15,9 @@ coordinates in a.
 
 from graspd import examples
 from graspd._version import __version__
+from graspd.calls import Stream
 from graspd.cancellation import Cancellation
-from graspd.client import Planner, Stream, connect
+from graspd.client import Planner, connect
 from graspd.connection import Tls
 from graspd.errors import (
     AlreadyExistsError,
@@ -41,6 +42,7 @@ from graspd.errors import (
 from graspd.frames import DepthFrame, Intrinsics
 from graspd.hands import CreatedHand, Hand, HandGeometry
 from graspd.options import Box, Placement, PlanOptions, SceneOptions, TargetPoint
+from graspd.outcomes import Outcome
 from graspd.plans import (
     Accepted,
     Contact,
@@ -60,6 +62,8 @@ from graspd.plans import (
 from graspd.poses import inverse, pose, transform
 from graspd.requests import HandTask
 from graspd.retry import RetryPolicy
+from graspd.servo import HandPosture, ServoAnswer, ServoCounters, ServoOptions
+from graspd.servo_stream import Servo
 from graspd.versions import ServerInfo
 
 __all__ = [
@@ -80,6 +84,7 @@ __all__ = [
     "GraspdError",
     "Hand",
     "HandGeometry",
+    "HandPosture",
     "HandTask",
     "Improved",
     "InternalError",
@@ -90,6 +95,7 @@ __all__ = [
     "NoGrasp",
     "NoGraspError",
     "NotFoundError",
+    "Outcome",
     "PermissionDeniedError",
     "Placement",
     "Plan",
@@ -103,6 +109,10 @@ __all__ = [
     "RetryPolicy",
     "SceneOptions",
     "ServerInfo",
+    "Servo",
+    "ServoAnswer",
+    "ServoCounters",
+    "ServoOptions",
     "Stream",
     "TargetPoint",
     "TaskResult",

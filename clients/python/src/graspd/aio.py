@@ -9,12 +9,11 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from types import TracebackType
-from typing import Any, Generic, TypeVar
-
-import grpc
-import grpc.aio
+from typing import TypeVar
 
 from graspd import answers, requests, versions
+from graspd.aio_calls import AsyncConnection, AsyncStream, result
+from graspd.aio_servo import AsyncServo
 from graspd.connection import Settings, Tls
 from graspd.errors import (
     CallError,
@@ -22,7 +21,6 @@ from graspd.errors import (
     GraspdError,
     UnavailableError,
     UnimplementedError,
-    from_status,
     late,
 )
 from graspd.frames import IntrinsicsLike
@@ -41,17 +39,12 @@ from graspd.hands import (
     upload,
 )
 from graspd.options import PlanOptions, SceneOptions
+from graspd.outcomes import Outcome, outcome_request
 from graspd.plans import MultiPlan, Plan, PlanEvent, TaskResult
 from graspd.requests import Hands, Scene
 from graspd.retry import NEVER, Attempts, RetryPolicy
-from graspd.v1 import (
-    hand_service_pb2,
-    hand_service_pb2_grpc,
-    info_service_pb2,
-    info_service_pb2_grpc,
-    planner_service_pb2,
-    planner_service_pb2_grpc,
-)
+from graspd.servo import ServoOptions, servo_config
+from graspd.v1 import hand_service_pb2, info_service_pb2, planner_service_pb2
 
 _T = TypeVar("_T")
 _CONNECT_PAUSE = 0.05
@@ -94,7 +87,7 @@ class AsyncPlanner:
         """Where the server is."""
         self.server: versions.ServerInfo | None = None
         """What the server said about itself when the connection was made."""
-        self._open: _Connection | None = None
+        self._open: AsyncConnection | None = None
 
     async def __aenter__(self) -> AsyncPlanner:
         await self.open()
@@ -116,7 +109,7 @@ class AsyncPlanner:
         if self._open is not None:
             return
         # A channel of grpc.aio belongs to the event loop that it is made in.
-        self._open = _Connection(self._settings)
+        self._open = AsyncConnection(self._settings)
         try:
             self.server = await self._greet()
         except BaseException:
@@ -228,6 +221,36 @@ class AsyncPlanner:
             Attempts(self._settings.retry, self._timeout(timeout)),
         )
 
+    def servo(
+        self,
+        hand: HandLike,
+        *,
+        servo_options: ServoOptions | None = None,
+        options: PlanOptions | None = None,
+        scene_options: SceneOptions | None = None,
+        answer_timeout: float | None = None,
+        timeout: float | None = None,
+    ) -> AsyncServo:
+        """Carries one grasp on from frame to frame; see `graspd.Planner.servo`."""
+        config = servo_config(hand, servo_options, options, scene_options)
+        method = self._connection.servo.ServoGrasp
+        return AsyncServo(
+            lambda: method(timeout=timeout, metadata=self._metadata), config, self._timeout(answer_timeout)
+        )
+
+    async def report_outcome(
+        self, plan: Plan | str, grasp_index: int, outcome: Outcome, *, note: str = "", timeout: float | None = None
+    ) -> bool:
+        """Tells a server that records what became of a grasp; see `graspd.Planner.report_outcome`."""
+        request = outcome_request(plan, grasp_index, outcome, note)
+        method = self._connection.planner.ReportOutcome
+        answer: planner_service_pb2.ReportOutcomeResponse = await self._unary(
+            lambda left: method(request, timeout=left, metadata=self._metadata),
+            timeout,
+            self._settings.retry,
+        )
+        return answer.repeated_report
+
     # --- hands ---
 
     async def hands(self, *, timeout: float | None = None) -> list[Hand]:
@@ -295,7 +318,7 @@ class AsyncPlanner:
     # --- calls ---
 
     @property
-    def _connection(self) -> _Connection:
+    def _connection(self) -> AsyncConnection:
         if self._open is None:
             raise GraspdError("the planner is not open: use it in an `async with` block, or await open() first")
         return self._open
@@ -317,7 +340,7 @@ class AsyncPlanner:
             if left <= 0:
                 raise late()
             try:
-                return await _result(start(left))
+                return await result(start(left))
             except CallError as error:
                 wait = attempts.after(error)
             await asyncio.sleep(wait)
@@ -330,7 +353,7 @@ class AsyncPlanner:
         while True:
             left = max(deadline - time.monotonic(), 0.001)
             try:
-                answer: info_service_pb2.GetServerInfoResponse = await _result(
+                answer: info_service_pb2.GetServerInfoResponse = await result(
                     method(request, timeout=left, metadata=self._metadata)
                 )
             except UnavailableError as error:
@@ -347,92 +370,3 @@ class AsyncPlanner:
                 return None
             else:
                 return versions.accepted(answer, self.address, self._settings.check_version)
-
-
-class _Connection:
-    """A channel and its stubs."""
-
-    def __init__(self, settings: Settings) -> None:
-        target = settings.resolved()
-        options = settings.options(target)
-        self.channel = (
-            grpc.aio.insecure_channel(target.address, options)
-            if target.tls is None
-            else grpc.aio.secure_channel(target.address, target.tls.credentials(), options)
-        )
-        self.planner = planner_service_pb2_grpc.PlannerServiceStub(self.channel)
-        self.hands = hand_service_pb2_grpc.HandServiceStub(self.channel)
-        self.info = info_service_pb2_grpc.InfoServiceStub(self.channel)
-
-
-async def _result(call: Awaitable[_T]) -> _T:
-    try:
-        return await call
-    except grpc.aio.AioRpcError as error:
-        raise from_status(error.code(), error.details(), error.trailing_metadata()) from None
-
-
-class AsyncStream(Generic[_T]):
-    """Answers that come in several messages, bounded by the call's deadline.
-
-    An asynchronous iterator. Until its first message it is repeated as any call. Leaving its `async with` block, or
-    `cancel()`, ends the work on the server.
-    """
-
-    def __init__(self, start: Callable[[float], Any], parse: Callable[[Any], _T], attempts: Attempts) -> None:
-        self._start = start
-        self._parse = parse
-        self._attempts = attempts
-        self._call: Any = None
-        self._ended = False
-
-    def __aiter__(self) -> AsyncStream[_T]:
-        return self
-
-    async def __anext__(self) -> _T:
-        if self._ended:
-            raise StopAsyncIteration
-        try:
-            message = await self._read()
-            if message is grpc.aio.EOF:
-                raise StopAsyncIteration
-            return self._parse(message)
-        except BaseException:
-            # The end, an error, or a cancelled task: whatever it was, nothing comes after it.
-            self.cancel()
-            raise
-
-    async def _read(self) -> Any:
-        if self._call is not None:
-            return await _result(self._call.read())
-        while True:
-            left = self._attempts.left
-            if left <= 0:
-                raise late()
-            self._call = self._start(left)
-            try:
-                return await _result(self._call.read())
-            except CallError as error:
-                self._call = None
-                wait = self._attempts.after(error)
-            await asyncio.sleep(wait)
-
-    def cancel(self) -> None:
-        """Ends the work."""
-        self._ended = True
-        if self._call is not None:
-            self._call.cancel()
-
-    def __del__(self) -> None:
-        # A loop that breaks outside of an `async with` block leaves nobody who could read on.
-        call = getattr(self, "_call", None)
-        if call is not None and not call.done():
-            call.cancel()
-
-    async def __aenter__(self) -> AsyncStream[_T]:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.cancel()

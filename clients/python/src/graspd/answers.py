@@ -36,7 +36,12 @@ def _postures(message: grasp_pb2.Postures) -> Postures:
     return Postures(named(message.open), named(message.contact), named(message.squeezed))
 
 
-def _placed(message: geometry_pb2.PoseInFrame, field_name: str) -> tuple[str, Array]:
+def placed(message: geometry_pb2.PoseInFrame, field_name: str) -> tuple[str, Array]:
+    """The frame and the pose of a message.
+
+    Raises:
+        ProtocolError: If there is none.
+    """
     if not message.HasField("pose"):
         raise ProtocolError(f"the server's answer has no {field_name}")
     return message.frame_id, pose_from_wire(message.pose)
@@ -46,18 +51,23 @@ def _terms(message: grasp_pb2.ObjectiveTerms) -> ObjectiveTerms:
     return ObjectiveTerms(**{name: getattr(message, name) for name in ObjectiveTerms.__dataclass_fields__})
 
 
-def _grasp(message: grasp_pb2.Grasp) -> Grasp:
-    frame_id, wrist = _placed(message.wrist_pose, "wrist_pose")
-    camera_frame_id, wrist_in_camera = _placed(message.wrist_pose_in_camera, "wrist_pose_in_camera")
+def grasp_from_wire(message: grasp_pb2.Grasp) -> Grasp:
+    """A grasp from its message.
+
+    Raises:
+        ProtocolError: If the server left out what the protocol promises.
+    """
+    frame_id, wrist = placed(message.wrist_pose, "wrist_pose")
+    camera_frame_id, wrist_in_camera = placed(message.wrist_pose_in_camera, "wrist_pose_in_camera")
     parts = message.score_parts
     return Grasp(
         wrist_link=message.wrist_link,
         frame_id=frame_id,
         pose=wrist,
-        pregrasp_pose=_placed(message.pregrasp_pose, "pregrasp_pose")[1],
+        pregrasp_pose=placed(message.pregrasp_pose, "pregrasp_pose")[1],
         camera_frame_id=camera_frame_id,
         pose_in_camera=wrist_in_camera,
-        pregrasp_pose_in_camera=_placed(message.pregrasp_pose_in_camera, "pregrasp_pose_in_camera")[1],
+        pregrasp_pose_in_camera=placed(message.pregrasp_pose_in_camera, "pregrasp_pose_in_camera")[1],
         joints=_postures(message.joints),
         actuators=_postures(message.actuators),
         contacts=tuple(
@@ -112,14 +122,14 @@ def plan_from_wire(message: planner_service_pb2.PlanGraspsResponse) -> Plan:
     if message.HasField("workspace"):
         w = message.workspace
         workspace = Workspace(
-            pose=_placed(w.pose, "workspace.pose")[1],
+            pose=placed(w.pose, "workspace.pose")[1],
             size=w.size_m,
             resolution=w.resolution,
             table_height=w.table_height_m if w.HasField("table_height_m") else None,
         )
     return Plan(
         hand=message.stats.hand.removeprefix("hands/"),
-        grasps=tuple(_grasp(g) for g in message.grasps),
+        grasps=tuple(grasp_from_wire(g) for g in message.grasps),
         no_grasp=_no_grasp(message.no_grasp) if message.HasField("no_grasp") else None,
         workspace=workspace,
         stats=_stats(message.stats),

@@ -355,7 +355,7 @@ try {
   layers();
 } catch (error) {
   // Everything but the picture works without it.
-  $("stage").replaceChildren(make("p", "No picture: " + error.message + "."));
+  $("view").replaceWith(make("p", "No picture: " + error.message + ".", { class: "quiet", id: "no-view" }));
 }
 look = watch();
 begin();

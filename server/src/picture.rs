@@ -1,5 +1,5 @@
-//! A call as viewers show it: depth, lens and place of each camera, its points, grasps and the hand that takes the
-//! best of them.
+//! A call, or a frame of a servo stream, as viewers show it: depth, lens and place of each camera, its points, grasps
+//! and the hand that takes the best of them. The same messages for recordings and for the live view.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use graspd_planner::frame::Frame;
 use graspd_proto::v1;
 use graspd_proto::v1::hand_task_result::Outcome;
 use graspd_proto::v1::plan_record::Request;
-use graspd_recording::{Bundle, STATS_TOPIC, Schema, depth_topic, foxglove};
+use graspd_recording::{Bundle, SERVO_TOPIC, STATS_TOPIC, Schema, foxglove};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::convert::EncodedFrame;
@@ -22,9 +22,8 @@ const AT_CONTACT: foxglove::Color = foxglove::Color { r: 0.25, g: 0.5, b: 0.9, a
 const AT_PREGRASP: foxglove::Color = foxglove::Color { r: 0.6, g: 0.6, b: 0.6, a: 0.25 };
 const CONTACT: foxglove::Color = foxglove::Color { r: 0.95, g: 0.75, b: 0.1, a: 1.0 };
 
-/// Everything that is written of a call.
-pub(super) fn bundle(time_ns: u64, record: v1::PlanRecord, hands: &[Arc<Hand>]) -> Bundle {
-    let mut bundle = Bundle::at(time_ns);
+/// Everything that is to be seen of a call; what the bundle does not want is not made.
+pub(crate) fn draw_call(bundle: &mut Bundle, record: v1::PlanRecord, hands: &[Arc<Hand>]) {
     let frames = match &record.request {
         Some(Request::PlanGrasps(plan)) => plan.frames.clone(),
         Some(Request::PlanMultiHand(plan)) => plan.frames.clone(),
@@ -33,11 +32,9 @@ pub(super) fn bundle(time_ns: u64, record: v1::PlanRecord, hands: &[Arc<Hand>]) 
     let results = record.results.clone();
     bundle.push_plan(record);
     for (i, wire) in frames.into_iter().enumerate() {
-        let is_png = wire.encoding() == v1::DepthEncoding::PngU16;
-        // A frame that cannot be decoded was refused; what was sent is there all the same.
+        // A frame that is none was refused; what was sent is there all the same.
         let Ok(encoded) = EncodedFrame::parse(wire, String::new()) else { continue };
-        let Ok((frame, _)) = encoded.decode() else { continue };
-        camera(&mut bundle, i, &encoded, &frame, is_png);
+        camera(bundle, &format!("/camera/{i}"), &encoded, true);
     }
     let several = results.len() > 1;
     for result in &results {
@@ -52,10 +49,40 @@ pub(super) fn bundle(time_ns: u64, record: v1::PlanRecord, hands: &[Arc<Hand>]) 
         let hand = answer.stats.as_ref().and_then(|stats| {
             hands.iter().find(|h| stats.hand.strip_prefix("hands/") == Some(h.id.as_str()))
         });
-        poses(&mut bundle, topic("poses"), answer);
-        scene(&mut bundle, topic("scene"), answer, hand.map(Arc::as_ref));
+        let shown = Shown {
+            world: world(answer),
+            plan_id: &answer.plan_id,
+            hand: hand.map(Arc::as_ref),
+            grasps: &answer.grasps,
+        };
+        poses(bundle, topic("poses"), &shown);
+        scene(bundle, topic("scene"), &shown);
     }
-    bundle
+}
+
+/// Everything that is to be seen of the answer to a servo stream's frame.
+pub(crate) fn draw_servo(
+    bundle: &mut Bundle,
+    frame: &EncodedFrame,
+    answer: &v1::ServoGraspResponse,
+    hand: &Hand,
+) {
+    camera(bundle, "/servo/camera", frame, false);
+    bundle.push(SERVO_TOPIC, Schema::ServoAnswer, answer);
+    let grasps = answer.grasp.as_slice();
+    let world = frame.world_frame_id.clone().unwrap_or_else(|| "world".to_owned());
+    let shown = Shown { world, plan_id: "", hand: Some(hand), grasps };
+    poses(bundle, "/servo/poses".to_owned(), &shown);
+    scene(bundle, "/servo/scene".to_owned(), &shown);
+}
+
+/// Grasps, best first, and what they are shown with.
+struct Shown<'a> {
+    /// The frame that their poses are in.
+    world: String,
+    plan_id: &'a str,
+    hand: Option<&'a Hand>,
+    grasps: &'a [v1::Grasp],
 }
 
 /// A task's name as part of a topic.
@@ -64,67 +91,90 @@ fn topic_name(task_id: &str) -> String {
     task_id.chars().take(64).map(plain).collect()
 }
 
-/// What one camera saw.
-fn camera(bundle: &mut Bundle, i: usize, encoded: &EncodedFrame, frame: &Frame, is_png: bool) {
+/// What one camera saw, under the topics that begin with `base`; `has_raw` if raw pixels are in the bundle already.
+fn camera(bundle: &mut Bundle, base: &str, encoded: &EncodedFrame, has_raw: bool) {
+    let topic = |name: &str| format!("{base}/{name}");
     let timestamp = Some(bundle.timestamp());
     let frame_id = encoded.camera_frame_id.clone();
+    // Raw pixels are shown exactly as they were sent, those of a PNG in metres.
+    let raw = encoded.raw_pixels();
+    if let (Some(raw), false) = (&raw, has_raw) {
+        bundle.add(topic("depth"), Schema::RawImage, || foxglove::RawImage {
+            timestamp,
+            frame_id: frame_id.clone(),
+            width: fixed(raw.width),
+            height: fixed(raw.height),
+            encoding: raw.encoding.to_owned(),
+            step: fixed(raw.width).saturating_mul(raw.pixel_bytes),
+            data: raw.data.clone(),
+        });
+    }
+    let is_png = raw.is_none();
+    let wants_depth = is_png && bundle.wants(&topic("depth"), Schema::RawImage);
+    let wants_calibration = bundle.wants(&topic("calibration"), Schema::CameraCalibration);
+    let wants_points = bundle.wants(&topic("points"), Schema::PointCloud);
+    transform(bundle, encoded);
+    if !(wants_depth || wants_calibration || wants_points) {
+        return;
+    }
+    let Ok((frame, _)) = encoded.decode() else { return };
     let (image, lens) = (&frame.image, &frame.intrinsics);
     let (width, height) = (fixed(image.width), fixed(image.height));
+    bundle.add(topic("calibration"), Schema::CameraCalibration, || {
+        let used = if lens.distortion[5..].iter().any(|k| *k != 0.0) { 8 } else { 5 };
+        foxglove::CameraCalibration {
+            timestamp,
+            frame_id: frame_id.clone(),
+            width,
+            height,
+            distortion_model: if used == 8 { "rational_polynomial" } else { "plumb_bob" }.to_owned(),
+            d: lens.distortion.into_iter().take(used).collect(),
+            k: vec![lens.fx_px, 0.0, lens.cx_px, 0.0, lens.fy_px, lens.cy_px, 0.0, 0.0, 1.0],
+            r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            p: vec![lens.fx_px, 0.0, lens.cx_px, 0.0, 0.0, lens.fy_px, lens.cy_px, 0.0, 0.0, 0.0, 1.0, 0.0],
+        }
+    });
     if is_png {
-        // Raw pixels are there already, exactly as they were sent.
-        let metres = image.depth_m.iter().flat_map(|d| d.to_le_bytes());
-        let image = foxglove::RawImage {
+        bundle.add(topic("depth"), Schema::RawImage, || foxglove::RawImage {
             timestamp,
             frame_id: frame_id.clone(),
             width,
             height,
             encoding: "32FC1".to_owned(),
             step: width.saturating_mul(4),
-            data: metres.collect(),
-        };
-        bundle.push(depth_topic(i), Schema::RawImage, &image);
-    }
-    let distortion = lens.distortion;
-    let used = if lens.distortion[5..].iter().any(|k| *k != 0.0) { 8 } else { 5 };
-    let calibration = foxglove::CameraCalibration {
-        timestamp,
-        frame_id: frame_id.clone(),
-        width,
-        height,
-        distortion_model: if used == 8 { "rational_polynomial" } else { "plumb_bob" }.to_owned(),
-        d: distortion.into_iter().take(used).collect(),
-        k: vec![lens.fx_px, 0.0, lens.cx_px, 0.0, lens.fy_px, lens.cy_px, 0.0, 0.0, 1.0],
-        r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p: vec![lens.fx_px, 0.0, lens.cx_px, 0.0, 0.0, lens.fy_px, lens.cy_px, 0.0, 0.0, 0.0, 1.0, 0.0],
-    };
-    bundle.push(format!("/camera/{i}/calibration"), Schema::CameraCalibration, &calibration);
-    if let (Some(pose), Some(world)) = (&encoded.world_from_camera, &encoded.world_frame_id)
-        && *world != frame_id
-    {
-        let foxglove::Pose { position, orientation } = pose_message(pose);
-        let transform = foxglove::FrameTransform {
-            timestamp,
-            parent_frame_id: world.clone(),
-            child_frame_id: frame_id.clone(),
-            translation: position,
-            rotation: orientation,
-        };
-        bundle.push("/tf", Schema::FrameTransform, &transform);
+            data: image.depth_m.iter().flat_map(|d| d.to_le_bytes()).collect::<Vec<u8>>().into(),
+        });
     }
     let field = |name: &str, offset| foxglove::PackedElementField {
         name: name.to_owned(),
         offset,
         r#type: foxglove::packed_element_field::NumericType::Float32.into(),
     };
-    let points = foxglove::PointCloud {
+    bundle.add(topic("points"), Schema::PointCloud, || foxglove::PointCloud {
         timestamp,
-        frame_id,
+        frame_id: frame_id.clone(),
         pose: Some(pose_message(&Isometry3::identity())),
         point_stride: 12,
         fields: vec![field("x", 0), field("y", 4), field("z", 8)],
-        data: points(frame),
+        data: points(&frame),
+    });
+}
+
+/// Where a camera stood, where the caller has said so.
+fn transform(bundle: &mut Bundle, encoded: &EncodedFrame) {
+    let (Some(pose), Some(world)) = (&encoded.world_from_camera, &encoded.world_frame_id) else { return };
+    if *world == encoded.camera_frame_id {
+        return;
+    }
+    let foxglove::Pose { position, orientation } = pose_message(pose);
+    let transform = foxglove::FrameTransform {
+        timestamp: Some(bundle.timestamp()),
+        parent_frame_id: world.clone(),
+        child_frame_id: encoded.camera_frame_id.clone(),
+        translation: position,
+        rotation: orientation,
     };
-    bundle.push(format!("/camera/{i}/points"), Schema::PointCloud, &points);
+    bundle.push("/tf", Schema::FrameTransform, &transform);
 }
 
 /// Points in the camera's frame, three floats each: every pixel of a picture that is small, a grid of a large one.
@@ -147,22 +197,26 @@ fn points(frame: &Frame) -> Vec<u8> {
 }
 
 /// The wrist at each grasp.
-fn poses(bundle: &mut Bundle, topic: String, answer: &v1::PlanGraspsResponse) {
-    let placed: Vec<_> = answer.grasps.iter().filter_map(|g| placed(g.wrist_pose.as_ref())).collect();
-    let message = foxglove::PosesInFrame {
-        timestamp: Some(bundle.timestamp()),
-        frame_id: world(answer),
-        poses: placed.iter().map(pose_message).collect(),
-    };
-    bundle.push(topic, Schema::PosesInFrame, &message);
+fn poses(bundle: &mut Bundle, topic: String, shown: &Shown<'_>) {
+    let timestamp = Some(bundle.timestamp());
+    bundle.add(topic, Schema::PosesInFrame, || {
+        let placed = shown.grasps.iter().filter_map(|g| placed(g.wrist_pose.as_ref()));
+        let poses = placed.map(|pose| pose_message(&pose)).collect();
+        foxglove::PosesInFrame { timestamp, frame_id: shown.world.clone(), poses }
+    });
 }
 
 /// Grasps as arrows, the best one's contacts, and the hand at that grasp and before it. What the call before drew goes.
-fn scene(bundle: &mut Bundle, topic: String, answer: &v1::PlanGraspsResponse, hand: Option<&Hand>) {
-    let timestamp = Some(bundle.timestamp());
+fn scene(bundle: &mut Bundle, topic: String, shown: &Shown<'_>) {
+    let timestamp = bundle.timestamp();
+    bundle.add(topic, Schema::SceneUpdate, || scene_update(timestamp, shown));
+}
+
+fn scene_update(timestamp: prost_types::Timestamp, shown: &Shown<'_>) -> foxglove::SceneUpdate {
+    let (timestamp, hand) = (Some(timestamp), shown.hand);
     let entity = |id: &str| foxglove::SceneEntity {
         timestamp,
-        frame_id: world(answer),
+        frame_id: shown.world.clone(),
         id: id.to_owned(),
         ..Default::default()
     };
@@ -173,10 +227,10 @@ fn scene(bundle: &mut Bundle, topic: String, answer: &v1::PlanGraspsResponse, ha
     };
     let mut entities = Vec::new();
     let mut arrows = entity("grasps");
-    let best_score = answer.grasps.first().map_or(1.0, |g| g.uncalibrated_score).max(1e-9);
-    arrows.metadata = vec![pair("plan_id", &answer.plan_id)];
+    let best_score = shown.grasps.first().map_or(1.0, |g| g.uncalibrated_score).max(1e-9);
+    arrows.metadata = vec![pair("plan_id", shown.plan_id)];
     // The worst first: the best is drawn over it.
-    for (i, grasp) in answer.grasps.iter().enumerate().rev() {
+    for (i, grasp) in shown.grasps.iter().enumerate().rev() {
         let Some(world_from_hand) = placed(grasp.wrist_pose.as_ref()) else { continue };
         let approach = hand.map_or(Vector3::z_axis(), |hand| hand.approach);
         let tool = hand.map_or(Vector3::zeros(), |hand| hand.tool_point.coords);
@@ -200,7 +254,7 @@ fn scene(bundle: &mut Bundle, topic: String, answer: &v1::PlanGraspsResponse, ha
         arrows.metadata.push(pair(&format!("score[{i}]"), &format!("{:.4}", grasp.score)));
     }
     entities.push(arrows);
-    if let Some(best) = answer.grasps.first() {
+    if let Some(best) = shown.grasps.first() {
         let mut contacts = entity("contacts of the best");
         for point in best.contacts.iter().filter_map(|c| c.point.as_ref()) {
             let pose = Isometry3::translation(point.x, point.y, point.z);
@@ -226,8 +280,7 @@ fn scene(bundle: &mut Bundle, topic: String, answer: &v1::PlanGraspsResponse, ha
             }
         }
     }
-    let update = foxglove::SceneUpdate { deletions: vec![deletion], entities };
-    bundle.push(topic, Schema::SceneUpdate, &update);
+    foxglove::SceneUpdate { deletions: vec![deletion], entities }
 }
 
 fn hand_shapes(
