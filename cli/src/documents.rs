@@ -195,6 +195,52 @@ fn commands_in_documents_are_commands() {
     assert!(count > 30, "{count}");
 }
 
+/// What a command in prose says that the program does not know: `graspd eval clear --seed N`, `graspd cell run | replay`.
+#[cfg(feature = "sim")]
+fn unknown_in(command: &str) -> Option<String> {
+    use clap::CommandFactory as _;
+
+    let mut root = Cli::command();
+    root.build();
+    let (mut parent, mut at) = (&root, &root);
+    for word in command.split_whitespace().skip(1).map(|w| w.trim_matches(['[', ']', ','])) {
+        if word == "|" {
+            at = parent;
+        } else if let Some(long) = word.strip_prefix("--") {
+            let long = long.split('=').next().unwrap_or_default();
+            let known = at.get_arguments().any(|a| a.get_long() == Some(long)) || long == "help";
+            if !known {
+                return Some(format!("{word} of graspd {}", at.get_name()));
+            }
+        } else if let Some(inner) = at.find_subcommand(word) {
+            (parent, at) = (at, inner);
+        } else if at.has_subcommands() {
+            return Some(word.to_owned());
+        }
+    }
+    None
+}
+
+#[cfg(feature = "sim")]
+#[test]
+fn commands_in_prose_are_commands() {
+    let (mut wrong, mut count) = (Vec::new(), 0);
+    for (path, text) in documents() {
+        for code in split(&text).0.iter().flat_map(|line| line.split('`').skip(1).step_by(2)) {
+            if code.starts_with("graspd ") {
+                count += 1;
+                wrong.extend(unknown_in(code).map(|what| format!("{}: `{code}`: {what}", path.display())));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(count > 80, "{count}");
+    assert_eq!(unknown_in("graspd cell run | replay"), None);
+    assert_eq!(unknown_in("graspd eval clear --seed N [--estimator geometric|learned]"), None);
+    assert_eq!(unknown_in("graspd eval clean"), Some("clean".to_owned()));
+    assert_eq!(unknown_in("graspd replay --seed 1"), Some("--seed of graspd replay".to_owned()));
+}
+
 #[test]
 fn the_book_has_every_document() {
     let docs = root().join("docs");

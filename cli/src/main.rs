@@ -80,6 +80,8 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    #[cfg(all(feature = "devices", target_feature = "crt-static"))]
+    graspd_adapters_core::library::program_is_static();
     let cli = Cli::parse();
     // Logs go to stderr: stdout belongs to tables and JSON.
     let quiet = match cli.command {

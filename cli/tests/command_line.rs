@@ -120,14 +120,30 @@ fn shells_and_the_manual_know_the_commands() {
         let script = text(&script.stdout);
         assert!(script.contains("recalibrate") && script.contains("no-page"), "{shell}: {script}");
     }
-    // The shell itself says whether it can read it; a machine without it has nothing to read it with.
-    let mut bash = match Command::new("bash").arg("-n").stdin(Stdio::piped()).spawn() {
-        Ok(bash) => bash,
-        Err(_) => return,
-    };
-    let script = output(&["completions", "bash"]).stdout;
-    std::io::Write::write_all(&mut bash.stdin.take().unwrap(), &script).unwrap();
-    assert!(bash.wait().unwrap().success());
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("completions");
+    std::fs::create_dir_all(&folder).unwrap();
+    // The shell itself says what it offers; a machine without it has nothing to ask. Bash is asked for a word of the
+    // command, fish too; zsh offers nothing without a terminal, and reads its script.
+    let offers = [
+        (
+            "bash",
+            "source {}; _graspd graspd se graspd; COMP_WORDS=(graspd se) COMP_CWORD=1; _graspd graspd se graspd; echo ${COMPREPLY[*]}",
+            "serve",
+        ),
+        ("fish", "source {}; complete -C 'graspd se'", "serve"),
+        ("zsh", "zsh -n {} && echo it can be read", "it can be read"),
+    ];
+    for (shell, question, expected) in offers {
+        let script = folder.join(format!("graspd.{shell}"));
+        std::fs::write(&script, output(&["completions", shell]).stdout).unwrap();
+        let question = question.replace("{}", &script.display().to_string());
+        let Ok(asked) = Command::new(shell).args(["-c", &question]).output() else {
+            eprintln!("not asked, for it is not installed: {shell}");
+            continue;
+        };
+        let (said, error) = (text(&asked.stdout), text(&asked.stderr));
+        assert!(asked.status.success() && said.contains(expected), "{shell}: {said}{error}");
+    }
     let page = text(&output(&["man"]).stdout);
     assert!(page.contains(".TH graspd 1") && page.contains("graspd\\-serve(1)"), "{page}");
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("man");

@@ -197,6 +197,14 @@ fn devices_are_listed_with_their_kinds_and_wrong_files_are_told() {
             "hand.kind: found \"leep\", expected one of mock, robotiq-2f, robotiq-3f, leap",
         ),
         ("[arm]\nkind = \"ur\"", "arm.address: found nothing, expected where the arm is"),
+        (
+            "[hand]\nkind = \"leap\"\naddress = \"/dev/ttyUSB0\"\n[hand.settings.leap]\ncurrent = 3",
+            "hand.settings.leap: ",
+        ),
+        (
+            "[camera]\nkind = \"pico-flexx\"\n[camera.settings.pico-flexx]\nretry_ms = 0",
+            "retry_ms: found 0, expected 10 to 60000",
+        ),
     ] {
         let config = folder.write("cell.toml", text);
         let (good, _, stderr) = graspd(&["device", "list", "--config", &config]);

@@ -7,6 +7,7 @@
 use std::ffi::OsString;
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A library that could not be loaded: what was tried, and what to do.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -51,16 +52,42 @@ pub fn places(
     bare.chain(inside).collect()
 }
 
+/// Whether [`program_is_static`] was called.
+static IS_STATIC: AtomicBool = AtomicBool::new(false);
+
+/// To be called first by a program that is linked statically: only who links it knows. No library is loaded from then on.
+pub fn program_is_static() {
+    IS_STATIC.store(true, Ordering::Relaxed);
+}
+
+/// What is said by a program that has no loader.
+const STATIC: &str = "this program is linked statically and can load no library: take one that is linked dynamically, as the \
+                      Debian package and cargo install have it";
+
 /// Loads the library from the first place where it is what it should be. `open` says why a file is not. Blocking.
 ///
 /// # Errors
-/// [`LibraryMissing`] with each place and its reason.
+/// [`LibraryMissing`] with each place and its reason; always in a program that is static ([`program_is_static`]): with musl there
+/// is no loader, and with glibc loading would bring a second C library into the process.
 pub fn load<L>(
+    library: &'static str,
+    remedy: &str,
+    places: Vec<PathBuf>,
+    open: impl FnMut(&Path) -> Result<L, String>,
+) -> Result<(L, PathBuf), LibraryMissing> {
+    load_as(IS_STATIC.load(Ordering::Relaxed), library, remedy, places, open)
+}
+
+fn load_as<L>(
+    is_static: bool,
     library: &'static str,
     remedy: &str,
     places: Vec<PathBuf>,
     mut open: impl FnMut(&Path) -> Result<L, String>,
 ) -> Result<(L, PathBuf), LibraryMissing> {
+    if is_static {
+        return Err(LibraryMissing { library, tried: Vec::new(), remedy: STATIC.to_owned() });
+    }
     let mut tried = Vec::new();
     for place in places {
         match open(&place) {
@@ -132,6 +159,13 @@ mod tests {
         assert_eq!(load("libx", "install it", places.clone(), open), Ok((3, "/b".into())));
         let error = load("libx", "install it", places, |_| Err::<(), _>("none".to_owned())).unwrap_err();
         assert_eq!(error.to_string(), "libx could not be loaded; /a: none; /b: none; /c: none; install it");
+    }
+
+    #[test]
+    fn a_static_program_says_that_it_can_load_nothing() {
+        let open = |_: &Path| -> Result<(), String> { panic!("asked to load") };
+        let error = load_as(true, "libx", "install it", vec!["/a".into()], open).unwrap_err();
+        assert!(error.to_string().starts_with("libx could not be loaded; this program is linked statically"));
     }
 
     #[test]

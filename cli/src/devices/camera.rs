@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 use std::time::Duration;
 
+use anyhow::Context as _;
 use graspd_adapters_azure_kinect::{KinectCamera, KinectSettings};
 use graspd_adapters_core::check::Finding;
 use graspd_adapters_core::{DepthCamera, DeviceError};
@@ -57,21 +58,39 @@ impl AnyCamera {
     }
 }
 
+/// Settings of a camera.
+#[derive(Debug, Clone)]
+pub(crate) enum CameraSettings {
+    Kinect(KinectSettings),
+    Flexx(FlexxSettings),
+}
+
+/// Settings of the camera, as the cell's file says.
+///
+/// # Errors
+/// For a kind, an address or a table that is not in order.
+pub(crate) fn settings(config: &CellConfig) -> anyhow::Result<CameraSettings> {
+    let [section, _, _] = sections(config);
+    section.check()?;
+    if section.kind == "azure-kinect" {
+        let settings = section.settings::<KinectSettings>(&[])?.with_address(section.address);
+        settings.check().context("camera.settings.azure-kinect")?;
+        return Ok(CameraSettings::Kinect(settings));
+    }
+    let settings = section.settings::<FlexxSettings>(&[])?.with_address(section.address);
+    settings.check().context("camera.settings.pico-flexx")?;
+    Ok(CameraSettings::Flexx(settings))
+}
+
 /// Connects to the camera. A device that is not there is reached when a frame is asked for.
 ///
 /// # Errors
 /// For a kind or a table that is not in order, and for a recording that cannot be read.
 pub(crate) async fn connect(config: &CellConfig) -> anyhow::Result<AnyCamera> {
-    let [section, _, _] = sections(config);
-    section.check()?;
-    if section.kind == "azure-kinect" {
-        let settings: KinectSettings = section.settings(&[])?;
-        return Ok(AnyCamera::Kinect(Arc::new(
-            KinectCamera::new(settings.with_address(section.address)).await?,
-        )));
-    }
-    let settings: FlexxSettings = section.settings(&[])?;
-    Ok(AnyCamera::Flexx(Arc::new(FlexxCamera::new(settings.with_address(section.address))?)))
+    Ok(match settings(config)? {
+        CameraSettings::Kinect(settings) => AnyCamera::Kinect(Arc::new(KinectCamera::new(settings).await?)),
+        CameraSettings::Flexx(settings) => AnyCamera::Flexx(Arc::new(FlexxCamera::new(settings)?)),
+    })
 }
 
 #[cfg(test)]

@@ -169,6 +169,25 @@ pub(crate) fn refuse_unarmed(config: &CellConfig) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Reads the tables of every device that is no mock one, without touching any.
+///
+/// # Errors
+/// With the field, what was found and what was expected.
+pub(crate) fn check_settings(config: &CellConfig) -> anyhow::Result<()> {
+    let [camera, arm, hand] = sections(config);
+    [&camera, &arm, &hand].into_iter().try_for_each(Section::check)?;
+    if !camera.is_mock() {
+        camera::settings(config)?;
+    }
+    if !arm.is_mock() {
+        arm::settings(config)?;
+    }
+    if !hand.is_mock() {
+        hand::settings(config)?;
+    }
+    Ok(())
+}
+
 /// Reads a cell's file; the defaults where there is none. Checked, but no device is touched.
 ///
 /// # Errors

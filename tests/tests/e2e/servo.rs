@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use graspd_client::wire::{self, HandPosture, Pose, ServoState, Vector3};
-use graspd_client::{Client, Code, ServoConfig, ServoFrame, ServoGraspResponse, ServoStream};
+use graspd_client::{Client, ClientError, Code, ServoConfig, ServoFrame, ServoGraspResponse, ServoStream};
 use graspd_server::ServerConfig;
 use graspd_server::security::Limits;
 use graspd_tests::{BoxScene, TestServer};
@@ -34,6 +34,35 @@ async fn next(stream: &mut ServoStream) -> ServoGraspResponse {
 
 fn with(limits: Limits) -> ServerConfig {
     ServerConfig { limits, ..TestServer::config() }
+}
+
+/// What docs/servo.md shows.
+async fn documented(
+    client: &Client,
+    camera: impl Fn(u64) -> wire::DepthFrame,
+    mut follow: impl FnMut(Option<wire::PoseInFrame>),
+) -> Result<Option<wire::Grasp>, ClientError> {
+    let config = ServoConfig { hand: "hands/robotiq-3f".into(), ..Default::default() };
+    let mut servo = client.servo_grasp(config).await?;
+    for sequence in 1.. {
+        servo.send(ServoFrame { sequence, frame: Some(camera(sequence)), hand: None }).await?;
+        let Some(answer) = servo.next().await? else { break };
+        follow(answer.standoff_pose);
+        if answer.go {
+            return Ok(answer.grasp); // go straight there and close
+        }
+    }
+    Ok(None)
+}
+
+#[tokio::test]
+async fn the_documented_program_follows_and_goes_in() {
+    let server = TestServer::start().await;
+    let client = server.client().await;
+    let mut followed = 0;
+    let follow = |pose: Option<wire::PoseInFrame>| followed += usize::from(pose.is_some());
+    let grasp = documented(&client, |sequence| frame(sequence).frame.unwrap(), follow).await.unwrap();
+    assert!(grasp.is_some() && followed > 1, "{grasp:?} after {followed} poses");
 }
 
 #[tokio::test]

@@ -11,7 +11,7 @@ use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use graspd_cell::config::CellConfig;
 
-use crate::devices::{self, Section};
+use crate::devices;
 
 /// Devices of a cell: which there are, what is wrong with them and what to do, what they report.
 #[derive(Debug, Clone, Args)]
@@ -43,7 +43,7 @@ impl Which {
     /// The cell's file, with what every device of it needs in order.
     fn read(&self) -> anyhow::Result<CellConfig> {
         let config = devices::read(self.config.as_deref())?;
-        devices::sections(&config).iter().try_for_each(Section::check)?;
+        devices::check_settings(&config)?;
         Ok(config)
     }
 
