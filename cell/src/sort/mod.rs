@@ -1,6 +1,6 @@
 //! Several arms sort one tray (Supplementary Note 7, Task 3).
 //!
-//! One camera looks while all arms are at home; the planner answers for every hand from that one frame; [`graspd_assign`]
+//! One camera looks while no arm is over the tray; the planner answers for every hand from that one frame; [`graspd_assign`]
 //! gives grasps to the arms that are free, and again whenever one is; each arm picks with the steps and the recoveries of a
 //! run of its own, at the same time as the others. When nothing is left that can be given, the camera looks again.
 //!
