@@ -24,6 +24,7 @@ mod health;
 mod http;
 mod local;
 mod metrics;
+mod outgoing;
 mod page;
 mod random;
 mod recorder;
