@@ -17,7 +17,9 @@ use graspd_adapters_robotiq::settings::LinkSettings;
 use graspd_adapters_robotiq::{Model, RobotiqSettings};
 use graspd_adapters_ur::rtde::{Package, PackageReader};
 use graspd_adapters_ur::{PrimaryReader, dashboard_line};
+use graspd_hands::{Hand, HandFiles};
 use graspd_server::decode::{DepthEncoding, announced_size, depth as decode_depth};
+use graspd_server::jobs::{JobKind, check_request};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 /// Packages of RTDE from a controller, whole and byte by byte.
@@ -253,4 +255,27 @@ pub(crate) fn depth_frame(data: &[u8]) -> bool {
     // What decodes must have been announced: sizes are refused before anything is decoded.
     assert!(announced.is_ok() || decoded.is_err());
     decoded.is_ok()
+}
+
+/// A call to the planner: the first byte says which method, the rest is its message. What is refused is refused with a code
+/// that blames the caller.
+pub(crate) fn request(data: &[u8]) -> bool {
+    let Some((method, message)) = data.split_first() else { return false };
+    let kind = JobKind::ALL[usize::from(*method) % JobKind::ALL.len()];
+    match check_request(kind, message) {
+        Ok(()) => true,
+        Err(status) => {
+            // InvalidArgument, by its number: the fuzz workspace need not know gRPC.
+            assert_eq!(i32::from(status.code()), 3, "{}", status.message());
+            false
+        }
+    }
+}
+
+/// A hand that somebody uploads: its URDF up to the first zero byte, then its description.
+pub(crate) fn hand(data: &[u8]) -> bool {
+    let end = data.iter().position(|byte| *byte == 0).unwrap_or(data.len());
+    let (urdf, description) = data.split_at(end);
+    let description = description.get(1..).unwrap_or_default();
+    Hand::load("fuzz", &HandFiles::new(urdf, description)).is_ok()
 }

@@ -3,14 +3,14 @@
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::connection::Broker;
+use crate::presence::WorkerCard;
 
 /// The broker's clock minus this machine's, microseconds: off by half a round trip at most. Says on the way, as `name`,
-/// that this process is there.
-pub(crate) async fn offset_us(broker: &Broker, name: &str) -> Result<i64, String> {
+/// who this process is.
+pub(crate) async fn offset_us(broker: &Broker, name: &str, card: &WorkerCard) -> Result<i64, String> {
     let bucket = broker.jetstream.get_key_value(broker.names.workers()).await.map_err(|e| e.to_string())?;
     let (began, wall) = (Instant::now(), SystemTime::now());
-    let value = format!("{{\"pid\":{},\"version\":\"{}\"}}", std::process::id(), env!("CARGO_PKG_VERSION"));
-    bucket.put(name, value.into()).await.map_err(|e| e.to_string())?;
+    bucket.put(name, card.bytes().into()).await.map_err(|e| e.to_string())?;
     let round_trip = began.elapsed();
     let entry = bucket.entry(name).await.map_err(|e| e.to_string())?.ok_or("the entry is gone")?;
     // The broker wrote it half way between.

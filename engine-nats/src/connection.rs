@@ -158,6 +158,20 @@ impl Broker {
         self.client.connection_state() == State::Connected && self.changes.borrow().is_multiple_of(2)
     }
 
+    /// How often it was lost and found again.
+    pub(crate) fn reconnects(&self) -> u64 {
+        *self.changes.borrow() / 2
+    }
+
+    /// Ready when it was lost, or found again.
+    pub(crate) async fn changed(&self) {
+        let mut changes = self.changes.clone();
+        changes.mark_unchanged();
+        if changes.changed().await.is_err() {
+            std::future::pending().await
+        }
+    }
+
     /// Its address, without what is secret.
     pub fn url(&self) -> &str {
         &self.url

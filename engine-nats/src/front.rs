@@ -1,5 +1,6 @@
 //! The front: publishes jobs, hears what workers say of them, and cancels what nobody waits for.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -7,14 +8,14 @@ use async_nats::jetstream::context::PublishErrorKind;
 use async_nats::jetstream::{self, ErrorCode, message::PublishMessage};
 use bytes::Bytes;
 use futures_util::StreamExt as _;
-use graspd_server::jobs::{Job, JobEngine, JobError, JobKind, Replies};
-use tokio::sync::mpsc;
+use graspd_server::jobs::{Job, JobEngine, JobError, JobKind, Presence, Replies};
+use tokio::sync::{mpsc, watch};
 
 use crate::connection::{Broker, Losses};
 use crate::pending::{Heard, Pending};
 use crate::settings::{MAX_AGE, MAX_DELIVER};
 use crate::wire::{Posted, Reply, Said, is_last};
-use crate::{requests, setup};
+use crate::{presence, requests, setup};
 
 /// Where the queue was full, a place is likely to be free after this.
 const RETRY_AFTER: Duration = Duration::from_millis(250);
@@ -26,6 +27,7 @@ pub struct NatsEngine {
     /// This front's name in subjects.
     front: String,
     pending: Arc<Pending>,
+    presence: watch::Receiver<Presence>,
 }
 
 impl NatsEngine {
@@ -69,7 +71,27 @@ impl NatsEngine {
                 tracing::info!("the broker is back");
             }
         });
-        Ok(Arc::new(Self { broker: broker.clone(), front, pending }))
+        let mut known = HashMap::new();
+        let mut now = Presence::default();
+        presence::look(broker, &mut known, &mut now).await;
+        let (tell, presence) = watch::channel(now.clone());
+        let (looked_at, counted) = (broker.clone(), Arc::clone(&pending));
+        tokio::spawn(async move {
+            while !tell.is_closed() {
+                tokio::select! {
+                    () = looked_at.changed() => {}
+                    () = tokio::time::sleep(presence::ASKED_EVERY) => {}
+                }
+                presence::look(&looked_at, &mut known, &mut now).await;
+                now.redelivered = counted.redelivered();
+                tell.send_if_modified(|told| {
+                    let is_news = *told != now;
+                    told.clone_from(&now);
+                    is_news
+                });
+            }
+        });
+        Ok(Arc::new(Self { broker: broker.clone(), front, pending, presence }))
     }
 
     /// Publishes the job; the number that the stream gave it.
@@ -170,6 +192,10 @@ impl JobEngine for NatsEngine {
         self.broker.client.publish(self.broker.names.bell(), Bytes::new()).await.ok();
         let until = tokio::time::Instant::now() + left + RETRY_AFTER;
         Ok(Waiting { heard, losses, ending, until, away: away() }.replies())
+    }
+
+    fn presence(&self) -> Option<watch::Receiver<Presence>> {
+        Some(self.presence.clone())
     }
 }
 

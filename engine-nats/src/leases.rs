@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::clock;
 use crate::connection::Broker;
+use crate::presence::WorkerCard;
 
 /// Longest name of a thing or a holder, bytes.
 const LONGEST: usize = 64;
@@ -103,7 +104,8 @@ impl Leases {
     /// [`LeaseError::Away`].
     pub async fn open(broker: &Broker) -> Result<Self, LeaseError> {
         let bucket = broker.jetstream.get_key_value(broker.names.leases()).await.map_err(away)?;
-        let clock_offset_us = clock::offset_us(broker, &broker.unique()).await.map_err(away)?;
+        let clock_offset_us =
+            clock::offset_us(broker, &broker.unique(), &WorkerCard::own(0)).await.map_err(away)?;
         Ok(Self { bucket, clock_offset_us })
     }
 

@@ -18,6 +18,7 @@ mod front;
 mod hands;
 mod leases;
 mod pending;
+mod presence;
 mod requests;
 mod running;
 mod settings;

@@ -1,6 +1,7 @@
 //! Jobs of a front that have not ended, by name: where what workers say of them goes.
 
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use graspd_server::jobs::JobKind;
@@ -19,7 +20,11 @@ pub(crate) enum Heard {
 
 /// Jobs that have not ended.
 #[derive(Debug, Default)]
-pub(crate) struct Pending(Mutex<HashMap<String, Entry>>);
+pub(crate) struct Pending {
+    jobs: Mutex<HashMap<String, Entry>>,
+    /// Jobs of which more than one worker has said something, or a later one.
+    redelivered: AtomicU64,
+}
 
 #[derive(Debug)]
 struct Entry {
@@ -28,6 +33,8 @@ struct Entry {
     sequence: Option<u64>,
     /// Better answers come from the first worker alone: those of the next one begin from nothing again.
     first_attempt: Option<u64>,
+    /// It is counted as one that another worker had to begin again.
+    is_counted: bool,
     /// Replies of a stream in which a later one replaces the one before.
     is_stream: bool,
 }
@@ -37,7 +44,7 @@ impl Pending {
     pub(crate) fn insert(&self, job: &str, is_stream: bool) -> mpsc::UnboundedReceiver<Heard> {
         // Not bounded: who reads it decodes at once, and a worker waits for the confirmation of each reply.
         let (sender, receiver) = mpsc::unbounded_channel();
-        let entry = Entry { sender, sequence: None, first_attempt: None, is_stream };
+        let entry = Entry { sender, sequence: None, first_attempt: None, is_counted: false, is_stream };
         self.lock().insert(job.to_owned(), entry);
         receiver
     }
@@ -53,6 +60,9 @@ impl Pending {
     pub(crate) fn say(&self, job: &str, reply: Reply) {
         let mut jobs = self.lock();
         let Some(entry) = jobs.get_mut(job) else { return };
+        if reply.attempt > 1 && !std::mem::replace(&mut entry.is_counted, true) {
+            self.redelivered.fetch_add(1, Ordering::Relaxed);
+        }
         let first = *entry.first_attempt.get_or_insert(reply.attempt);
         let is_intermediate = matches!(reply.said, Said::Response(_)) && entry.is_stream;
         if is_intermediate && reply.attempt != first && !reply.said.is_last(JobKind::StreamGrasps) {
@@ -69,13 +79,18 @@ impl Pending {
         }
     }
 
+    /// Jobs that another worker had to begin again.
+    pub(crate) fn redelivered(&self) -> u64 {
+        self.redelivered.load(Ordering::Relaxed)
+    }
+
     /// A job has ended.
     pub(crate) fn remove(&self, job: &str) {
         self.lock().remove(job);
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<String, Entry>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.jobs.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -110,6 +125,7 @@ mod tests {
             pending.say("a", reply(attempt, kind));
         }
         assert_eq!(heard(&mut stream), [IMPROVED, IMPROVED, FINISHED]);
+        assert_eq!(pending.redelivered(), 1);
         // Results for several hands: whoever has one.
         let mut hands = pending.insert("b", false);
         for attempt in [1, 2] {

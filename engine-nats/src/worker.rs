@@ -15,6 +15,7 @@ use tokio::task::JoinSet;
 use crate::clock;
 use crate::connection::Broker;
 use crate::hands::NatsHands;
+use crate::presence::WorkerCard;
 use crate::running::{Shared, run};
 use crate::settings::{BROKER_PATIENCE, IDLE_POLL};
 use crate::setup;
@@ -35,6 +36,8 @@ pub struct WorkerConfig {
 pub struct Worker {
     shared: Arc<Shared>,
     config: WorkerConfig,
+    /// Its name among workers.
+    name: String,
     /// Rung when there may be a job.
     bell: Arc<Notify>,
     listening: JoinSet<()>,
@@ -89,19 +92,21 @@ impl Worker {
         });
         let beating = Arc::clone(&shared);
         let name = broker.unique();
-        if let Err(problem) = heartbeat(&shared, &name).await {
+        let card = WorkerCard::own(config.slots.max(1));
+        let own = name.clone();
+        if let Err(problem) = heartbeat(&shared, &name, &card).await {
             tracing::warn!(problem, "the broker's clock is not known");
         }
         listening.spawn(async move {
             loop {
                 tokio::time::sleep(HEARTBEAT).await;
                 beating.broker.here().await;
-                if let Err(problem) = heartbeat(&beating, &name).await {
+                if let Err(problem) = heartbeat(&beating, &name, &card).await {
                     tracing::debug!(problem, "heartbeat");
                 }
             }
         });
-        Ok(Self { shared, config, bell, listening })
+        Ok(Self { shared, config, name: own, bell, listening })
     }
 
     /// Plans jobs until `shutdown` is ready; then fetches none, and finishes those that it has.
@@ -128,13 +133,21 @@ impl Worker {
             tokio::time::timeout(BROKER_PATIENCE, given_back).await.ok();
         }
         self.listening.shutdown().await;
+        // Fronts hand on less from now on, not only when it has been silent for long.
+        let names = &self.shared.broker.names;
+        let forget = async {
+            if let Ok(bucket) = self.shared.broker.jetstream.get_key_value(names.workers()).await {
+                bucket.purge(&self.name).await.ok();
+            }
+        };
+        tokio::time::timeout(BROKER_PATIENCE, forget).await.ok();
         self.shared.broker.client.flush().await.ok();
     }
 }
 
 /// Says that the worker is there, and learns how the broker's clock differs from this machine's.
-async fn heartbeat(shared: &Shared, worker: &str) -> Result<(), String> {
-    let offset = clock::offset_us(&shared.broker, worker).await?;
+async fn heartbeat(shared: &Shared, worker: &str, card: &WorkerCard) -> Result<(), String> {
+    let offset = clock::offset_us(&shared.broker, worker, card).await?;
     shared.clock_offset_us.store(offset, Ordering::Relaxed);
     Ok(())
 }

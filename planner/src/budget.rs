@@ -17,7 +17,7 @@ pub trait Budget: Sync {
     /// Time since the call began, for stage durations. May stand still (then durations are zero).
     fn elapsed(&self) -> Duration;
 
-    /// `Some` once work has to stop.
+    /// `Some` once work has to stop, and from then on: what is left out for it is never put in again.
     fn stop(&self) -> Option<Stop>;
 
     /// [`Budget::stop`] as an error, for work of several steps that each take milliseconds.
@@ -26,6 +26,11 @@ pub trait Budget: Sync {
     /// [`Stop`] once work has to stop.
     fn check(&self) -> Result<(), Stop> {
         self.stop().map_or(Ok(()), Err)
+    }
+
+    /// True once nobody waits for the answer any more: for work whose result still counts after a deadline.
+    fn is_cancelled(&self) -> bool {
+        self.stop() == Some(Stop::Cancelled)
     }
 }
 

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
-use crate::budget::Budget;
+use crate::budget::{Budget, Unlimited};
 use crate::contact_field::{ContactField, ContactFieldError};
 use crate::estimator::ContactEstimator;
 use crate::frame::{CleanOptions, Frame, FrameError, MAX_TRANSLATION_M, clean_depth};
@@ -136,10 +136,10 @@ pub fn prepare(
     budget: &dyn Budget,
 ) -> Result<Scene, SceneError> {
     let mut stages = Stages::new(budget);
-    let Placed { depths, points, workspace } = place(frames, options)?;
+    let Placed { depths, points, workspace } = place(frames, options, budget)?;
     stages.end("frame")?;
 
-    let (volume, views) = fuse(frames, &depths, &workspace, options);
+    let (volume, views) = fuse(frames, &depths, &workspace, options, budget)?;
     read(volume, &views, &workspace, &points.world_from_camera, options, estimator, stages)
 }
 
@@ -169,9 +169,11 @@ fn read(
     let budget = stages.budget;
     budget.check().map_err(SceneError::Stopped)?;
     let solid = volume.solid();
+    budget.check().map_err(SceneError::Stopped)?;
     let surface = volume.surface(&solid, views);
     budget.check().map_err(SceneError::Stopped)?;
     let objects = volume.object_groups(&solid);
+    budget.check().map_err(SceneError::Stopped)?;
     let observation = observe(&volume, &objects);
     stages.end("volume")?;
 
@@ -183,6 +185,7 @@ fn read(
     }
     stages.end("estimate")?;
 
+    budget.check().map_err(SceneError::Stopped)?;
     let labels = volume.voxel_labels();
     let features = refine_within(&contact_field, &solid, &surface, volume.table_m, labels, options, budget)
         .map_err(SceneError::Stopped)?;
@@ -212,7 +215,8 @@ struct Placed {
 }
 
 /// Checks frames and options, cleans the depth images and places the volume.
-fn place(frames: &[Frame], options: &SceneOptions) -> Result<Placed, SceneError> {
+fn place(frames: &[Frame], options: &SceneOptions, budget: &dyn Budget) -> Result<Placed, SceneError> {
+    let goes_on = || budget.check().map_err(SceneError::Stopped);
     let first = frames.first().ok_or(SceneError::NoFrames)?;
     for (index, frame) in frames.iter().enumerate() {
         frame.validate().map_err(|source| SceneError::Frame { index, source })?;
@@ -223,9 +227,13 @@ fn place(frames: &[Frame], options: &SceneOptions) -> Result<Placed, SceneError>
         return Err(SceneError::MissingPose { index, count: frames.len() });
     }
     validate(options)?;
-    let clean = |f: &Frame| clean_depth(&f.image, &CleanOptions::of_lens(&f.intrinsics));
-    let depths: Vec<Vec<f32>> = frames.iter().map(clean).collect();
+    let mut depths = Vec::with_capacity(frames.len());
+    for frame in frames {
+        depths.push(clean_depth(&frame.image, &CleanOptions::of_lens(&frame.intrinsics)));
+        goes_on()?;
+    }
     let points = frame_points(first, &depths[0]);
+    goes_on()?;
     let workspace = Workspace::place(&options.workspace, options.grid, &points);
     Ok(Placed { depths, points, workspace })
 }
@@ -236,7 +244,8 @@ fn fuse<'a>(
     depths: &'a [Vec<f32>],
     workspace: &Workspace,
     options: &SceneOptions,
-) -> (Volume, Vec<View<'a>>) {
+    budget: &dyn Budget,
+) -> Result<(Volume, Vec<View<'a>>), SceneError> {
     let mut volume = Volume::empty(workspace.grid, workspace.table_m);
     volume.kind = options.volume;
     volume.region = region_in_volume(options, workspace);
@@ -244,9 +253,10 @@ fn fuse<'a>(
     let views: Vec<View<'_>> =
         seen.map(|(frame, depth)| View::of(frame, depth, &workspace.world_from_volume)).collect();
     for view in &views {
-        volume.integrate(view.frame, view.depth, &view.camera_from_volume);
+        volume.integrate_within(view.frame, view.depth, &view.camera_from_volume, budget);
+        budget.check().map_err(SceneError::Stopped)?;
     }
-    (volume, views)
+    Ok((volume, views))
 }
 
 /// What [`prepare`] shows to an estimator, and no more: cleaned, placed and fused by the same code. For those who make
@@ -255,8 +265,8 @@ fn fuse<'a>(
 /// # Errors
 /// As [`prepare`], for frames and options that cannot be read.
 pub fn look(frames: &[Frame], options: &SceneOptions) -> Result<(Workspace, Volume), SceneError> {
-    let placed = place(frames, options)?;
-    let (volume, _) = fuse(frames, &placed.depths, &placed.workspace, options);
+    let placed = place(frames, options, &Unlimited)?;
+    let (volume, _) = fuse(frames, &placed.depths, &placed.workspace, options, &Unlimited)?;
     Ok((placed.workspace, volume))
 }
 

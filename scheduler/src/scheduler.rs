@@ -73,6 +73,12 @@ impl<T> Scheduler<T> {
         &self.config
     }
 
+    /// Says how many jobs of any priority may run at the same time from now on; fewer than one are taken as one. Jobs that
+    /// run already run on.
+    pub fn set_slots(&mut self, slots: usize) {
+        self.config.slots = slots.max(1);
+    }
+
     /// Jobs that wait, those that continue a call included.
     pub fn waiting(&self) -> usize {
         self.waiting.len()

@@ -83,6 +83,8 @@ struct Known {
     hands: HashMap<String, Search>,
     /// All hands together, for a hand that has not been seen.
     any: Search,
+    /// What a job elsewhere takes besides its stages.
+    detour: Mean,
 }
 
 /// What has been learned.
@@ -135,6 +137,16 @@ impl Estimates {
                 }
             }
         }
+    }
+
+    /// How long the way to an engine elsewhere and back takes, and waiting there.
+    pub(crate) fn detour(&self) -> Duration {
+        seconds(self.lock().detour.expected())
+    }
+
+    /// A job elsewhere took so much longer than its stages.
+    pub(crate) fn observe_detour(&self, took: Duration) {
+        self.lock().detour.observe(took.as_secs_f64());
     }
 
     fn lock(&self) -> MutexGuard<'_, Known> {

@@ -1,6 +1,6 @@
 //! Health as grpc.health.v1 and `/readyz` tell it: the server, each service, and each hand as `hand/NAME`.
 //!
-//! A server is ready when it has planned: before it listens it reads a small scene and searches a grasp in it, with the
+//! One that lets others plan is ready while they are there. A server is ready when it has planned: before it listens it reads a small scene and searches a grasp in it, with the
 //! default estimator. If that fails it says so and tries again. A hand whose jobs crash several times in a row is
 //! NOT_SERVING until one of them ends well; its calls are planned all the same, that is how it recovers.
 
@@ -20,6 +20,7 @@ use tonic_health::server::HealthReporter;
 use crate::caller::Caller;
 use crate::deadline::CallBudget;
 use crate::engine::Engine;
+use crate::jobs::Presence;
 use crate::pool::Order;
 
 /// Services that are ready when the server is.
@@ -30,6 +31,8 @@ const SERVICES: [&str; 5] = [
     "graspd.v1.HandService",
     "graspd.v1.InfoService",
 ];
+/// Those that are worth nothing without whoever plans elsewhere.
+const NEED_PLANS: [&str; 2] = ["", "graspd.v1.PlannerService"];
 /// Jobs of one hand that crash one after the other before the hand is not well.
 const CRASHES: u32 = 3;
 /// A first plan that takes longer is none.
@@ -44,6 +47,8 @@ pub(crate) struct Health {
     /// The server has planned.
     warm: AtomicBool,
     draining: Arc<AtomicBool>,
+    /// Why whoever plans elsewhere cannot now.
+    elsewhere: Mutex<Option<&'static str>>,
     /// Jobs that crashed since the last one that did not, by hand.
     crashes: Mutex<BTreeMap<String, u32>>,
 }
@@ -66,22 +71,52 @@ impl Health {
 
     /// True while calls are taken and planning works.
     pub(crate) fn is_ready(&self) -> bool {
-        self.warm.load(Ordering::Relaxed) && !self.draining.load(Ordering::Relaxed)
+        self.is_well_here() && self.elsewhere().is_none()
+    }
+
+    /// True once this process has planned.
+    pub(crate) fn is_warm(&self) -> bool {
+        self.warm.load(Ordering::Relaxed)
+    }
+
+    /// True while calls are taken and planning works in this process, which is what servo streams need.
+    fn is_well_here(&self) -> bool {
+        self.is_warm() && !self.draining.load(Ordering::Relaxed)
     }
 
     /// Why the server is not ready, in a word.
     pub(crate) fn why_not(&self) -> &'static str {
-        if self.draining.load(Ordering::Relaxed) { "draining" } else { "the first plan has failed so far" }
+        match *self.elsewhere() {
+            _ if self.draining.load(Ordering::Relaxed) => "draining",
+            _ if !self.is_warm() => "the first plan has failed so far",
+            Some(why) => why,
+            None => "ready",
+        }
+    }
+
+    /// How whoever plans elsewhere is now; true if that is news.
+    pub(crate) fn set_elsewhere(&self, presence: &Presence) -> bool {
+        let why = match presence {
+            Presence { is_here: false, .. } => Some("the broker is away"),
+            Presence { workers: 0, .. } => Some("no worker is there"),
+            _ => None,
+        };
+        std::mem::replace(&mut *self.elsewhere(), why) != why
+    }
+
+    fn elsewhere(&self) -> std::sync::MutexGuard<'_, Option<&'static str>> {
+        self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Tells the health service how the server is, with these hands.
     pub(crate) async fn tell(&self, hands: Vec<String>) {
-        let status = if self.is_ready() { ServingStatus::Serving } else { ServingStatus::NotServing };
         for service in SERVICES {
+            let well = if NEED_PLANS.contains(&service) { self.is_ready() } else { self.is_well_here() };
+            let status = if well { ServingStatus::Serving } else { ServingStatus::NotServing };
             self.reporter.set_service_status(service, status).await;
         }
         for hand in hands {
-            let well = status == ServingStatus::Serving && self.count(&hand) < CRASHES;
+            let well = self.is_ready() && self.count(&hand) < CRASHES;
             self.tell_hand(&hand, well).await;
         }
     }
@@ -175,7 +210,7 @@ impl Engine {
 
     /// Tries to plan until it works; the health service says when it does.
     pub(crate) async fn warm_up_in_the_end(&self) {
-        while !self.health.is_ready() {
+        while !self.health.is_warm() {
             tokio::time::sleep(Duration::from_secs(2)).await;
             if self.warm_up().await {
                 self.health.tell(self.registry.ids()).await;

@@ -50,6 +50,9 @@ pub(crate) const METRICS_TYPE: &str = "application/openmetrics-text; version=1.0
 
 /// Everything that is counted and timed, in the OpenMetrics format.
 pub(crate) fn metrics(engine: &Engine) -> String {
+    if let Some(presence) = engine.presence() {
+        engine.metrics.elsewhere(&presence, engine.outgoing.waiting_by_priority());
+    }
     let live = engine.live.as_ref().map(graspd_live::Live::counts);
     engine.metrics.encode(&engine.pool, engine.scenes.read_count(), engine.health.is_ready(), live)
 }

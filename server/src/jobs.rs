@@ -9,12 +9,15 @@ use std::pin::Pin;
 use std::time::Duration;
 
 use bytes::Bytes;
+use graspd_proto::v1;
 use graspd_scheduler::Priority;
+use tokio::sync::watch;
 use tokio_stream::Stream;
 use tonic::{Code, Status};
 use tonic_types::StatusExt as _;
 
-use crate::error::ServiceError;
+use crate::convert;
+use crate::error::{FieldError, ServiceError};
 
 /// Which method of `graspd.v1.PlannerService` was called; the request is that method's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -114,6 +117,25 @@ pub enum JobError {
     Refused(Status),
 }
 
+/// How an engine elsewhere is.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Presence {
+    /// It can be talked to.
+    pub is_here: bool,
+    /// Workers that are there.
+    pub workers: usize,
+    /// Jobs that they plan at the same time, all together.
+    pub slots: usize,
+    /// Jobs that nobody has begun, of all servers, by priority in the order of [`Priority::ALL`].
+    pub waiting: [usize; 4],
+    /// Jobs that somebody is at, likewise.
+    pub running: [usize; 4],
+    /// Jobs of this server that another worker had to begin again, since the start.
+    pub redelivered: u64,
+    /// How often the engine was lost and found again, since the start.
+    pub reconnects: u64,
+}
+
 /// Plans jobs.
 #[tonic::async_trait]
 pub trait JobEngine: std::fmt::Debug + Send + Sync + 'static {
@@ -122,6 +144,35 @@ pub trait JobEngine: std::fmt::Debug + Send + Sync + 'static {
     /// # Errors
     /// [`JobError`] when it is not taken.
     async fn submit(&self, job: Job) -> Result<Replies, JobError>;
+
+    /// How it is, for readiness, metrics and how many jobs to give it; `None` for one of this process.
+    fn presence(&self) -> Option<watch::Receiver<Presence>> {
+        None
+    }
+}
+
+/// What a server says to an encoded request before it looks for hands or plans: whether it is one, and its fields are in
+/// range. Images are looked at as far as their headers.
+///
+/// # Errors
+/// The status that a caller would get.
+pub fn check_request(kind: JobKind, request: &[u8]) -> Result<(), Status> {
+    fn decoded<T: prost::Message + Default>(request: &[u8]) -> Result<T, ServiceError> {
+        T::decode(request).map_err(|e| ServiceError::MalformedMessage { problem: e.to_string() })
+    }
+    let checked = || -> Result<(), ServiceError> {
+        match kind {
+            JobKind::PlanGrasps => convert::plan_grasps(decoded(request)?, "").map(drop)?,
+            JobKind::StreamGrasps => {
+                let wire: v1::StreamGraspsRequest = decoded(request)?;
+                let plan = wire.plan.ok_or_else(|| FieldError::missing("plan", "a request"))?;
+                convert::plan_grasps(plan, "plan").map(drop)?;
+            }
+            JobKind::PlanMultiHand => convert::multi_hand(decoded(request)?).map(drop)?,
+        }
+        Ok(())
+    };
+    checked().map_err(Status::from)
 }
 
 /// A status that another machine has made, as it is relayed.

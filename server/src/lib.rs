@@ -26,6 +26,7 @@ mod http;
 mod live;
 mod local;
 mod metrics;
+mod outgoing;
 mod page;
 mod picture;
 mod random;

@@ -21,6 +21,7 @@ use crate::error::ServiceError;
 use crate::health::Health;
 use crate::jobs::{Job, JobEngine, JobError, JobKind, Replies};
 use crate::metrics::Metrics;
+use crate::outgoing::Outgoing;
 use crate::pool::Pool;
 use crate::recorder::Recorder;
 use crate::registry::{FolderError, HandSync, Registry};
@@ -73,8 +74,12 @@ pub(crate) async fn start_engine(config: &ServerConfig) -> Result<Arc<Engine>, S
         health: Health::default(),
         tracer: Tracer::start(config.otlp.as_deref())?,
         elsewhere: config.engine.clone(),
+        outgoing: Outgoing::new(config.pool.queue, config.pool.plain_fifo),
         hand_store: config.hand_store.clone(),
     });
+    if let Some(presence) = engine.presence() {
+        engine.heed(&presence);
+    }
     // Nobody is answered before planning has worked once; where it does not, that is told from the beginning.
     engine.warm_up().await;
     Ok(engine)
@@ -113,7 +118,7 @@ impl LocalEngine {
         let http = self.http.lock().unwrap_or_else(PoisonError::into_inner).take();
         let watched = http.map(|listener| tokio::spawn(crate::http::serve(listener, Arc::clone(engine))));
         let _watched = AbortOnDrop(watched);
-        let cold = (!engine.health.is_ready()).then(|| Arc::clone(engine));
+        let cold = (!engine.health.is_warm()).then(|| Arc::clone(engine));
         let _warming =
             AbortOnDrop(cold.map(|engine| tokio::spawn(async move { engine.warm_up_in_the_end().await })));
         work.await;

@@ -12,6 +12,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
+use crate::jobs::Presence;
 use crate::pool::{Pool, Priority};
 
 /// Seconds, from a millisecond to a minute.
@@ -48,6 +49,16 @@ struct Stage {
 struct ByPriority {
     priority: &'static str,
 }
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct EngineJobs {
+    priority: &'static str,
+    state: &'static str,
+}
+
+/// No label: a series that is only there where it says something.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Alone {}
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Within {
@@ -109,6 +120,12 @@ pub(crate) struct Metrics {
     live_clients: Gauge,
     live: Family<Outcome, Counter>,
     ready: Gauge,
+    engine_connected: Family<Alone, Gauge>,
+    engine_workers: Family<Alone, Gauge>,
+    engine_slots: Family<Alone, Gauge>,
+    engine_jobs: Family<EngineJobs, Gauge>,
+    engine_redelivered: Family<Alone, Gauge>,
+    engine_reconnects: Family<Alone, Gauge>,
 }
 
 impl Default for Metrics {
@@ -137,6 +154,12 @@ impl Default for Metrics {
             live_clients: Gauge::default(),
             live: Family::default(),
             ready: Gauge::default(),
+            engine_connected: Family::default(),
+            engine_workers: Family::default(),
+            engine_slots: Family::default(),
+            engine_jobs: Family::default(),
+            engine_redelivered: Family::default(),
+            engine_reconnects: Family::default(),
         };
         let mut registry = Registry::with_prefix("graspd");
         registry.register("calls", "Calls that ended, by method and code", metrics.calls.clone());
@@ -205,6 +228,33 @@ impl Default for Metrics {
         );
         registry.register("live", "What the live view has done, by what became of it", metrics.live.clone());
         registry.register("ready", "1 while calls are taken", metrics.ready.clone());
+        let several = &metrics;
+        registry.register(
+            "engine_connected",
+            "1 while the broker can be talked to; only with --engine, as all that begins with engine_",
+            several.engine_connected.clone(),
+        );
+        registry.register("engine_workers", "Workers that are there", several.engine_workers.clone());
+        registry.register(
+            "engine_slots",
+            "Jobs that all workers plan at the same time",
+            several.engine_slots.clone(),
+        );
+        registry.register(
+            "engine_jobs",
+            "Jobs by priority: at this front before the broker, in the broker, at workers",
+            several.engine_jobs.clone(),
+        );
+        registry.register(
+            "engine_redelivered",
+            "Jobs of this front that another worker had to begin again, since the start",
+            several.engine_redelivered.clone(),
+        );
+        registry.register(
+            "engine_reconnects",
+            "How often the broker was lost and found again, since the start",
+            several.engine_reconnects.clone(),
+        );
         Self { registry: Mutex::new(registry), ..metrics }
     }
 }
@@ -297,6 +347,24 @@ impl Metrics {
         for (outcome, count) in outcomes {
             let counter = self.live.get_or_create(&Outcome { outcome });
             counter.inc_by(count.saturating_sub(counter.get()));
+        }
+    }
+
+    /// How whoever plans elsewhere is, and calls that wait before it, by priority.
+    pub(crate) fn elsewhere(&self, presence: &Presence, here: [usize; 4]) {
+        let set = |family: &Family<Alone, Gauge>, n: u64| {
+            family.get_or_create(&Alone {}).set(i64::try_from(n).unwrap_or(i64::MAX));
+        };
+        set(&self.engine_connected, u64::from(presence.is_here));
+        set(&self.engine_workers, presence.workers as u64);
+        set(&self.engine_slots, presence.slots as u64);
+        set(&self.engine_redelivered, presence.redelivered);
+        set(&self.engine_reconnects, presence.reconnects);
+        for (state, counts) in [("front", here), ("broker", presence.waiting), ("worker", presence.running)] {
+            for (priority, count) in Priority::ALL.iter().zip(counts) {
+                let labels = EngineJobs { priority: priority.name(), state };
+                self.engine_jobs.get_or_create(&labels).set(i64::try_from(count).unwrap_or(i64::MAX));
+            }
         }
     }
 

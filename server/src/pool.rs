@@ -34,7 +34,7 @@ use slot::{Job, Refuse, Run, Shared, State, run_slot};
 use sync::{Condvar, Cores, Mutex, thread};
 
 /// A job without a deadline is ordered as if it had this much time.
-const PATIENCE: Duration = Duration::from_secs(10);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Size of a pool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,16 +50,31 @@ pub struct PoolConfig {
     /// Room for scenes that are alive at the same time; a scene of the default size takes 1, and one that
     /// takes more than there is has all of it for itself.
     pub scene_room: usize,
+    /// How much nicer planning threads are than the process, 0 to 19 (Linux): who waits for a core while they plan is a
+    /// thread that answers, refuses or cancels a call, and it needs the core for less than a millisecond.
+    pub nice: u8,
     /// For comparison: order of arrival, nothing refused but by a full queue.
     pub plain_fifo: bool,
 }
+
+/// Planning threads are so much nicer than the process where nothing else is said: they get a third of what others get that
+/// want the same core.
+const NICE: u8 = 5;
 
 impl PoolConfig {
     /// The default for a machine with that many cores: all cores for each job, and up to four jobs at a
     /// time, because the stages of a job do not all use every core. One slot more for servo work.
     pub fn for_cores(cores: usize) -> Self {
         let threads = cores.max(1);
-        Self { threads, slots: threads.min(4), servo_slots: 1, queue: 16, scene_room: 3, plain_fifo: false }
+        Self {
+            threads,
+            slots: threads.min(4),
+            servo_slots: 1,
+            queue: 16,
+            scene_room: 3,
+            nice: NICE,
+            plain_fifo: false,
+        }
     }
 }
 
@@ -168,7 +183,8 @@ impl Pool {
         });
         let pool = Self { shared: Arc::clone(&shared), config };
         for slot in 0..config.slots.max(1) + config.servo_slots {
-            let cores = Cores::start(slot, config.threads).map_err(|e| PoolError::Threads(e.to_string()))?;
+            let cores = Cores::start(slot, config.threads, config.nice)
+                .map_err(|e| PoolError::Threads(e.to_string()))?;
             let shared = Arc::clone(&shared);
             let room_limit = config.scene_room.max(1);
             thread::Builder::new()
@@ -332,16 +348,23 @@ impl Pool {
                 }
                 Ok(Ticket::new(position, Some(id), Arc::clone(shared), receiver))
             }
-            Err(Refused { why, retry_after, .. }) => Err(match why {
-                Refusal::Full { waiting } => {
-                    PoolError::Full { waiting, limit: self.config.queue, retry_after }
-                }
-                Refusal::CannotFinish { needs, left } => PoolError::CannotFinish { needs, left, retry_after },
-                Refusal::InTheWay => {
-                    let needs = order.estimate.least;
-                    PoolError::CannotFinish { needs, left: Duration::ZERO, retry_after }
-                }
-            }),
+            Err(Refused { why, retry_after, .. }) => {
+                Err(PoolError::of_refusal(why, retry_after, self.config.queue, order))
+            }
+        }
+    }
+}
+
+impl PoolError {
+    /// What the scheduler's refusal means to a caller, where so many may wait.
+    pub(crate) fn of_refusal(why: Refusal, retry_after: Duration, limit: usize, order: &Order) -> Self {
+        match why {
+            Refusal::Full { waiting } => Self::Full { waiting, limit, retry_after },
+            Refusal::CannotFinish { needs, left } => Self::CannotFinish { needs, left, retry_after },
+            Refusal::InTheWay => {
+                let needs = order.estimate.least;
+                Self::CannotFinish { needs, left: Duration::ZERO, retry_after }
+            }
         }
     }
 }

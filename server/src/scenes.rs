@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 use std::hash::{BuildHasher as _, Hash as _, Hasher as _, RandomState};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use graspd_planner::budget::{Budget, Stop};
@@ -119,7 +119,7 @@ impl SharedScene {
     /// Begins to read; the scene is unread again if the guard is dropped without a scene.
     pub(crate) fn reading(self: &Arc<Self>) -> Reading {
         *self.state() = State::Reading;
-        Reading { scene: Arc::clone(self), began: Instant::now() }
+        Reading { scene: Arc::clone(self), began: Instant::now(), ended: OnceLock::new() }
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -151,6 +151,8 @@ impl std::fmt::Debug for SharedScene {
 pub(crate) struct Reading {
     scene: Arc<SharedScene>,
     began: Instant,
+    /// Set when nobody was left: who comes later begins anew, since something may have been left out.
+    ended: OnceLock<Stop>,
 }
 
 impl Reading {
@@ -178,6 +180,9 @@ impl Budget for Reading {
     }
 
     fn stop(&self) -> Option<Stop> {
+        if let Some(ended) = self.ended.get() {
+            return Some(*ended);
+        }
         let wanted = self.scene.wanted.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = Some(Stop::Cancelled);
         for budget in wanted.iter() {
@@ -187,6 +192,7 @@ impl Budget for Reading {
                 Some(Stop::Cancelled) => {}
             }
         }
-        all
+        // Threads that ask at the same time hear the same.
+        all.map(|stop| *self.ended.get_or_init(|| stop))
     }
 }

@@ -308,7 +308,10 @@ impl Server {
         engine.health.tell(engine.registry.ids()).await;
         let health_service =
             HealthServer::new(HealthService::from_health_reporter(engine.health.reporter().clone()));
-        let cold = (!engine.health.is_ready()).then(|| Arc::clone(&engine));
+        let watching_elsewhere = Arc::clone(&engine);
+        let _elsewhere =
+            AbortOnDrop(Some(tokio::spawn(async move { watching_elsewhere.watch_elsewhere().await })));
+        let cold = (!engine.health.is_warm()).then(|| Arc::clone(&engine));
         let warming = cold.map(|engine| tokio::spawn(async move { engine.warm_up_in_the_end().await }));
         let _warming = AbortOnDrop(warming);
         let described = || {

@@ -40,6 +40,7 @@ impl TestServer {
                 servo_slots: 1,
                 queue: 4,
                 scene_room: 3,
+                nice: 0,
                 plain_fifo: false,
             },
             estimators: Estimators::new(Arc::new(Geometric), vec![Arc::new(Panics), Arc::new(Stalls)]),

@@ -50,6 +50,9 @@ pub(crate) struct ServeArgs {
     /// Requests that may wait; more are refused at once
     #[arg(long, env = "GRASPD_QUEUE", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     queue: Option<u32>,
+    /// How much nicer planning threads are than the rest, so that refusals and cancellations need not wait for them [default: 5]
+    #[arg(long, env = "GRASPD_NICE", value_parser = clap::value_parser!(u8).range(0..=19))]
+    nice: Option<u8>,
     /// For comparison: plan in the order of arrival, and refuse nothing but by a full queue
     #[arg(long)]
     plain_fifo: bool,
@@ -108,6 +111,7 @@ impl ServeArgs {
         set(&mut pool.slots, self.slots);
         set(&mut pool.queue, self.queue);
         set(&mut pool.servo_slots, self.servo_slots);
+        pool.nice = self.nice.unwrap_or(pool.nice);
         pool.plain_fifo |= self.plain_fifo;
         if let Some(seconds) = self.drain_seconds {
             config.drain_grace = Duration::try_from_secs_f64(seconds).map_err(|_| {
@@ -295,11 +299,11 @@ mod tests {
 
     #[test]
     fn flags_reach_the_configuration() {
-        let flags =
-            "--listen 127.0.0.1:0 --threads 3 --slots 2 --queue 7 --max-message-mib 4 --drain-seconds 0.5";
+        let flags = "--listen 127.0.0.1:0 --threads 3 --slots 2 --queue 7 --nice 2 --max-message-mib 4 --drain-seconds 0.5";
         let only = Only::parse_from(std::iter::once("serve").chain(flags.split(' ')));
         let config = only.serve.config().unwrap();
-        assert_eq!((config.pool.threads, config.pool.slots, config.pool.queue), (3, 2, 7));
+        let pool = config.pool;
+        assert_eq!((pool.threads, pool.slots, pool.queue, pool.nice), (3, 2, 7, 2));
         assert_eq!(config.max_message_bytes, 4 << 20);
         assert_eq!(config.drain_grace, Duration::from_millis(500));
         let negative = Only::parse_from(["serve", "--drain-seconds=-1"]).serve.config().unwrap_err();

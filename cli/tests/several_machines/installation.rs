@@ -16,7 +16,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 const REQUIRED: &str = "GRASPD_REQUIRE_NATS";
 
 /// The broker's program: a variable, the search path, or the Python package that carries it.
-fn broker_program() -> Result<PathBuf, String> {
+pub(crate) fn broker_program() -> Result<PathBuf, String> {
     static FOUND: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     FOUND.get_or_init(find_broker).clone()
 }
@@ -59,7 +59,7 @@ pub(crate) struct Process {
 }
 
 impl Process {
-    fn start(command: &mut Command) -> Self {
+    pub(crate) fn start(command: &mut Command) -> Self {
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let log: Arc<Mutex<Vec<String>>> = Arc::default();
         let (lines, written) = (BufReader::new(child.stderr.take().unwrap()).lines(), Arc::clone(&log));
@@ -160,10 +160,7 @@ impl Installation {
     pub(crate) fn front(&self, flags: &[&str]) -> Front {
         let mut command = graspd(&["serve", "--listen", "127.0.0.1:0", "--slots", "1", "--threads", "1"]);
         command.args(flags).arg("--engine").arg(format!("nats://{}", self.addr()));
-        let mut process = Process::start(&mut command);
-        let line = process.wait_for("local_addr=");
-        let addr = line.split("local_addr=").nth(1).unwrap().split_whitespace().next().unwrap();
-        Front { endpoint: format!("http://{addr}"), _process: process }
+        Front::of(Process::start(&mut command))
     }
 
     /// Starts a worker; it may not be ready yet.
@@ -194,22 +191,40 @@ impl Drop for Installation {
 
 fn graspd(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_graspd"));
-    command.args(arguments).env_remove("RUST_LOG");
+    command.args(arguments);
+    without_settings(&mut command);
+    command
+}
+
+/// Takes out of a command's environment what would set graspd up otherwise.
+pub(crate) fn without_settings(command: &mut Command) {
+    command.env_remove("RUST_LOG");
     for (name, _) in std::env::vars_os() {
         if name.to_str().is_some_and(|name| name.starts_with("GRASPD_")) {
             command.env_remove(name);
         }
     }
-    command
 }
 
 /// A front that serves.
 pub(crate) struct Front {
     endpoint: String,
-    _process: Process,
+    process: Process,
 }
 
 impl Front {
+    /// That of a process that is starting.
+    pub(crate) fn of(mut process: Process) -> Self {
+        let line = process.wait_for("local_addr=");
+        let addr = line.split("local_addr=").nth(1).unwrap().split_whitespace().next().unwrap();
+        Self { endpoint: format!("http://{addr}"), process }
+    }
+
+    /// Waits for a line of its log that has this in it.
+    pub(crate) fn wait_for(&mut self, text: &str) -> String {
+        self.process.wait_for(text)
+    }
+
     /// A client that never repeats.
     pub(crate) async fn client(&self) -> Client {
         let config = ClientConfig {

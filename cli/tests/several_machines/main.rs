@@ -3,8 +3,10 @@
 #![cfg(feature = "nats")]
 #![allow(clippy::unwrap_used, reason = "helpers of tests are not in test functions")]
 
+mod fronts;
 mod installation;
 mod leases;
+mod namespaces;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

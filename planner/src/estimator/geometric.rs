@@ -78,6 +78,7 @@ impl ContactEstimator for Geometric {
             return Ok(ContactField::empty(grid));
         };
         // Two passes: a standard deviation of 1.4 voxels, enough that a staircase of voxels has smooth normals.
+        budget.check()?;
         let occupied: Vec<f32> = group.iter().map(|&g| if g > 0 { 1.0 } else { 0.0 }).collect();
         let once = smooth(&grid, &occupied, &region);
         budget.check()?;
@@ -89,7 +90,7 @@ impl ContactEstimator for Geometric {
         budget.check()?;
 
         let mut field = ContactField::empty(grid);
-        spread(&mut field, &contacts, &extents, solid, volume.first_object_layer());
+        spread(&mut field, &contacts, &extents, solid, volume.first_object_layer(), budget);
         budget.check()?;
         let mut votes = vec![0.0f32; grid.len()];
         for (middle, weight) in contacts.iter().filter_map(|c| c.vote) {
@@ -97,9 +98,11 @@ impl ContactEstimator for Geometric {
                 votes[i] += weight;
             }
         }
+        budget.check()?;
         let once = smooth(&grid, &votes, &region);
         budget.check()?;
         let votes = smooth(&grid, &once, &region);
+        budget.check()?;
         field.centroid = normalized(&grid, &votes, &extents, Peaks::CHORDS);
         Ok(field)
     }
@@ -206,7 +209,16 @@ fn ramp(value: f32, low: f32, high: f32) -> f32 {
 /// Smooths quality and direction along the surface, carries both to a second shell of voxels, and scales so that
 /// the best contact has certainty 1. The best contact of every object that stands out of the table has nearly as
 /// much, so that the refinement's threshold, a share of the maximum, leaves each object its contacts.
-fn spread(field: &mut ContactField, contacts: &[Contact], extents: &[Extent], solid: &[bool], floor: usize) {
+///
+/// What is left when the budget ends is left out: the caller looks at it next.
+fn spread(
+    field: &mut ContactField,
+    contacts: &[Contact],
+    extents: &[Extent],
+    solid: &[bool],
+    floor: usize,
+    budget: &dyn Budget,
+) {
     let grid = field.grid;
     let n = grid.resolution;
     // Number of the contact at each voxel, plus one.
@@ -235,8 +247,14 @@ fn spread(field: &mut ContactField, contacts: &[Contact], extents: &[Extent], so
         .map(|c| (c.index, c.group, 1.0))
         .chain(second.into_iter().map(|(i, group)| (i, group, SECOND_SHELL)))
         .collect();
-    let values: Vec<(f32, [f32; 3])> =
-        shells.par_iter().map(|&(i, _, distance)| blend(&grid, &slot, contacts, i, distance)).collect();
+    let blended = |&(i, _, distance): &(usize, u16, f32)| match budget.stop() {
+        None => blend(&grid, &slot, contacts, i, distance),
+        Some(_) => (0.0, [0.0; 3]),
+    };
+    let values: Vec<(f32, [f32; 3])> = shells.par_iter().map(blended).collect();
+    if budget.stop().is_some() {
+        return;
+    }
     let mut largest = vec![0.0f32; extents.len() + 1];
     for (&(_, group, _), &(certainty, _)) in shells.iter().zip(&values) {
         let own = &mut largest[usize::from(group)];

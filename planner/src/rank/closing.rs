@@ -8,6 +8,7 @@ use graspd_hands::{Actuation, CoordinateKind, SoftCoupling};
 use nalgebra::Vector3;
 
 use super::regrip;
+use crate::budget::Budget;
 use crate::configuration::Configuration;
 use crate::hand_model::HandModel;
 use crate::objective::{Objective, Scratch};
@@ -178,7 +179,14 @@ impl Feel {
 /// Fingers that turn about their knuckles swing lower than they were before they meet. Where the table stops a
 /// finger before it has touched anything, the hand is drawn back along its approach, a little at a time, and closed
 /// again, as long as that brings more fingers into touch.
-pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration, scratch: &mut Scratch) {
+///
+/// Where nobody waits for it any more, it ends at once and somewhere.
+pub(crate) fn close(
+    objective: &Objective<'_>,
+    configuration: &mut Configuration,
+    scratch: &mut Scratch,
+    budget: &dyn Budget,
+) {
     let closers = closers(objective.model);
     let start = configuration.clone();
     let back = -(start.rotation * objective.model.approach);
@@ -187,12 +195,12 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
     loop {
         configuration.copy_from(&start);
         configuration.translation += back * drawn;
-        let closed = close_once(objective, &closers, configuration, scratch);
+        let closed = close_once(objective, &closers, configuration, scratch, budget);
         if best.as_ref().is_none_or(|(touching, _)| closed.touching > *touching) {
             best = Some((closed.touching, configuration.clone()));
         }
         drawn += DRAW_STEP_M;
-        if !closed.stopped_by_table || drawn > DRAW_M {
+        if !closed.stopped_by_table || drawn > DRAW_M || budget.is_cancelled() {
             break;
         }
     }
@@ -200,7 +208,7 @@ pub(crate) fn close(objective: &Objective<'_>, configuration: &mut Configuration
         configuration.copy_from(&best);
     }
     if regrip::hold(objective, configuration, scratch) == 0.0 {
-        regrip::regrip(objective, &closers, &start, configuration, scratch);
+        regrip::regrip(objective, &closers, &start, configuration, scratch, budget);
     }
 }
 
@@ -222,6 +230,7 @@ fn close_once(
     all: &[Closer],
     configuration: &mut Configuration,
     scratch: &mut Scratch,
+    budget: &dyn Budget,
 ) -> Closed {
     let model = objective.model;
     let may_shift = all.len() == 1 && all[0].fingers.len() > 1;
@@ -232,13 +241,14 @@ fn close_once(
         let start = configuration.clone();
         let mut feel = feel(objective, configuration, closer, scratch);
         let mut opened = 0.0;
-        while feel.is_too_deep() && opened < TRAVEL_M && move_by(configuration, -STEP_M) {
+        let goes_on = || !budget.is_cancelled();
+        while feel.is_too_deep() && opened < TRAVEL_M && goes_on() && move_by(configuration, -STEP_M) {
             opened += STEP_M;
             feel = self::feel(objective, configuration, closer, scratch);
         }
         closed.stopped_by_table |= feel.is_too_deep() && feel.on_table;
         let (mut shifted, mut travelled) = (0.0, 0.0);
-        while !feel.all_touch() && !feel.is_too_deep() && travelled < TRAVEL_M {
+        while !feel.all_touch() && !feel.is_too_deep() && travelled < TRAVEL_M && goes_on() {
             let before = configuration.clone();
             if may_shift
                 && shifted < SHIFT_M

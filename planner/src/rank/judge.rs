@@ -8,6 +8,7 @@ use super::collision::{self, SCENE_TOLERANCE_VOXELS, SELF_TOLERANCE_M, TABLE_TOL
 use super::force_closure::{self, Directions, Push};
 use super::touch::{self, ALIGNED, CONTACT_VOXELS, Touch};
 use super::{closing, opposition, score};
+use crate::budget::Budget;
 use crate::configuration::Configuration;
 use crate::grasp::{Grasp, ObjectiveTerms, Postures, RejectReason};
 use crate::hand_model::HandModel;
@@ -50,8 +51,14 @@ pub(crate) struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// Closes the fingers, checks everything, and makes a grasp of the candidate.
-    pub(crate) fn judge(&self, candidate: &Candidate, scratch: &mut Scratch) -> Result<Grasp, Rejection> {
+    /// Closes the fingers, checks everything, and makes a grasp of the candidate. The budget is asked only whether anybody
+    /// waits for it: a judgement that was begun before a deadline is worth its end.
+    pub(crate) fn judge(
+        &self,
+        candidate: &Candidate,
+        scratch: &mut Scratch,
+        budget: &dyn Budget,
+    ) -> Result<Grasp, Rejection> {
         use RejectReason as R;
         let model = self.objective.model;
         if !candidate.has_started() {
@@ -62,7 +69,10 @@ impl Judge<'_> {
         }
         let mut at = candidate.best.clone();
         scratch.contacts.share.copy_from_slice(&candidate.shares);
-        closing::close(self.objective, &mut at, scratch);
+        closing::close(self.objective, &mut at, scratch, budget);
+        if budget.is_cancelled() {
+            return Err(Rejection::new(R::Unfinished, 0.0));
+        }
         // The objective of what is returned: closing has moved the fingers since the last iteration.
         let mut unused = vec![0.0; 6 + model.coordinate_count];
         let terms = self.objective.evaluate(&at, &candidate.reaching, true, scratch, &mut unused);
@@ -102,9 +112,12 @@ impl Judge<'_> {
             return Err(Rejection::new(R::NoContact, 0.0));
         }
         let back = self.options.pregrasp_offset_m.max(0.0);
-        let (open, room_on_the_way) = self.clear_opening(&at, back, &touching, scratch)?;
+        let (open, room_on_the_way) = self.clear_opening(&at, back, &touching, scratch, budget)?;
         // A hand all of whose parts touch has no room that could be measured: finite all the same.
         let room = depths.room.min(room_on_the_way).min(size);
+        if budget.is_cancelled() {
+            return Err(Rejection::new(R::Unfinished, 0.0));
+        }
         let arms: Vec<Push> =
             touches.iter().map(|t| Push { arm: t.point - center, inward: t.inward.into_inner() }).collect();
         let length = arms.iter().map(|p| p.arm.norm()).fold(0.01, f64::max);
@@ -219,9 +232,13 @@ impl Judge<'_> {
         back: f64,
         touching: &[bool],
         scratch: &mut Scratch,
+        budget: &dyn Budget,
     ) -> Result<(Vec<f64>, f64), Rejection> {
         let mut least = f64::INFINITY;
         for share in OPENINGS {
+            if budget.is_cancelled() {
+                return Err(Rejection::new(RejectReason::Unfinished, 0.0));
+            }
             let open = closing::opened(self.objective.model, &at.coordinates, share);
             let met = collision::approach(self.objective, at, &open, back, touching, scratch);
             if met.depth <= 0.0 {

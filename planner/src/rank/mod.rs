@@ -62,7 +62,7 @@ pub(crate) fn rank(judge: &Judge<'_>, candidates: &[Candidate], most: usize, bud
                 let result = if skip || place >= most {
                     unfinished()
                 } else {
-                    judge.judge(&candidates[index], scratch)
+                    judge.judge(&candidates[index], scratch, budget)
                 };
                 (index, result)
             },

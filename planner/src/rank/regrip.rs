@@ -11,6 +11,7 @@ use super::closing::{Closer, DRAW_M, SHIFT_M, STEP_M, TABLE_ROOM_M, feel, is_obj
 use super::opposition;
 use super::touch::{ALIGNED, CONTACT_VOXELS};
 use crate::balance;
+use crate::budget::Budget;
 use crate::configuration::Configuration;
 use crate::objective::{Objective, Scratch};
 
@@ -64,6 +65,7 @@ pub(super) fn regrip(
     start: &Configuration,
     configuration: &mut Configuration,
     scratch: &mut Scratch,
+    budget: &dyn Budget,
 ) {
     let model = objective.model;
     let mean = {
@@ -100,7 +102,7 @@ pub(super) fn regrip(
             continue;
         }
         let drawn = (at.translation - began).norm();
-        close_together(objective, closers, &mut at, drawn, scratch);
+        close_together(objective, closers, &mut at, drawn, scratch, budget);
         let hold = hold(objective, &at, scratch);
         if hold > best.as_ref().map_or(0.0, |b| b.0) {
             best = Some((hold, at));
@@ -151,6 +153,7 @@ fn close_together(
     configuration: &mut Configuration,
     ahead: f64,
     scratch: &mut Scratch,
+    budget: &dyn Budget,
 ) {
     let model = objective.model;
     let approach = configuration.rotation * model.approach;
@@ -159,6 +162,9 @@ fn close_together(
     let mut ahead = ahead;
     let mut before = configuration.clone();
     for _ in 0..ROUNDS {
+        if budget.is_cancelled() {
+            return;
+        }
         let mut moved = false;
         let mut towards = Vector3::zeros();
         for closer in all {
@@ -236,6 +242,7 @@ mod tests {
     use nalgebra::{Point3, UnitQuaternion};
 
     use super::*;
+    use crate::budget::Unlimited;
     use crate::grid::Grid;
     use crate::hand_model::HandModel;
     use crate::objective::{Obstacles, Weights};
@@ -300,7 +307,7 @@ mod tests {
         };
         let mut at = start.clone();
         assert_eq!(hold(&objective, &at, &mut scratch), 0.0, "{id} touches nothing from up there");
-        regrip(&objective, &closing::closers(&model), &start, &mut at, &mut scratch);
+        regrip(&objective, &closing::closers(&model), &start, &mut at, &mut scratch, &Unlimited);
         let holds = hold(&objective, &at, &mut scratch);
         objective.place_spheres(&mut scratch);
         let spheres = model.spheres.iter().zip(&scratch.centers);

@@ -7,6 +7,7 @@
 
 use rayon::prelude::*;
 
+use crate::budget::{Budget, Unlimited};
 use crate::grid::Grid;
 
 /// Neighbours along z that are worked on together.
@@ -39,6 +40,15 @@ impl Squared for i32 {
 /// Distance of every voxel centre to the nearest voxel centre in `set`, voxels, memory order; `None` for an
 /// empty set. `set` must have one entry per voxel.
 pub fn distance_to(grid: &Grid, set: impl Fn(usize) -> bool + Sync) -> Option<Vec<f32>> {
+    distance_within(grid, set, &Unlimited)
+}
+
+/// [`distance_to`], which leaves out what is left when the budget ends: whoever calls looks at it next.
+pub(super) fn distance_within(
+    grid: &Grid,
+    set: impl Fn(usize) -> bool + Sync,
+    budget: &dyn Budget,
+) -> Option<Vec<f32>> {
     let n = grid.resolution;
     if n == 0 {
         return None;
@@ -46,9 +56,9 @@ pub fn distance_to(grid: &Grid, set: impl Fn(usize) -> bool + Sync) -> Option<Ve
     // The largest sum that occurs is "none" plus one more square.
     let farthest = 3 * (n - 1) * (n - 1) + 1;
     if farthest + (n - 1) * (n - 1) <= i16::MAX as usize {
-        transform::<i16>(n, farthest, set)
+        transform::<i16>(n, farthest, set, budget)
     } else {
-        transform::<i32>(n, farthest, set)
+        transform::<i32>(n, farthest, set, budget)
     }
 }
 
@@ -56,10 +66,16 @@ pub fn distance_to(grid: &Grid, set: impl Fn(usize) -> bool + Sync) -> Option<Ve
 /// nearest solid centre; inside, half a voxel less than to the nearest free centre, negative. A volume without
 /// solid (or without free) voxels is the cube's edge length away from it.
 pub fn signed_distance_m(grid: &Grid, solid: &[bool]) -> Vec<f32> {
+    signed_distance_within(grid, solid, &Unlimited)
+}
+
+/// [`signed_distance_m`], which leaves out what is left when the budget ends: whoever calls looks at it next.
+pub(super) fn signed_distance_within(grid: &Grid, solid: &[bool], budget: &dyn Budget) -> Vec<f32> {
     let voxel = grid.voxel_m() as f32;
     let far = grid.size_m as f32;
     let at = |i: usize| solid.get(i).copied().unwrap_or(false);
-    let (outside, inside) = rayon::join(|| distance_to(grid, at), || distance_to(grid, |i| !at(i)));
+    let (outside, inside) =
+        rayon::join(|| distance_within(grid, at, budget), || distance_within(grid, |i| !at(i), budget));
     match (outside, inside) {
         (Some(mut outside), Some(inside)) => {
             outside.par_iter_mut().zip(inside.par_iter()).for_each(|(out, &inside)| {
@@ -72,7 +88,12 @@ pub fn signed_distance_m(grid: &Grid, solid: &[bool]) -> Vec<f32> {
     }
 }
 
-fn transform<T: Squared>(n: usize, none: usize, set: impl Fn(usize) -> bool + Sync) -> Option<Vec<f32>> {
+fn transform<T: Squared>(
+    n: usize,
+    none: usize,
+    set: impl Fn(usize) -> bool + Sync,
+    budget: &dyn Budget,
+) -> Option<Vec<f32>> {
     let none = T::of(none);
     // Rows along z are padded to whole vectors.
     let row = n.div_ceil(LANES) * LANES;
@@ -88,6 +109,9 @@ fn transform<T: Squared>(n: usize, none: usize, set: impl Fn(usize) -> bool + Sy
             || vec![none; slab],
             |along_z, (x, out)| {
                 let mut found = false;
+                if budget.stop().is_some() {
+                    return found;
+                }
                 for y in 0..n {
                     let line = &mut along_z[y * row..y * row + n];
                     found |= scan(line, &squares, none, |z| set((x * n + y) * n + z));
@@ -114,6 +138,9 @@ fn transform<T: Squared>(n: usize, none: usize, set: impl Fn(usize) -> bool + Sy
     // Along x: each slab of the result reads all slabs.
     let mut result = vec![0.0f32; n * n * n];
     result.par_chunks_mut(n * n).enumerate().for_each(|(x, out)| {
+        if budget.stop().is_some() {
+            return;
+        }
         for y in 0..n {
             for z in (0..n).step_by(LANES) {
                 let best = nearest(n, x, &squares, |x| &after_y[x * slab + y * row + z..]);
@@ -229,7 +256,7 @@ mod tests {
             prop_assert_eq!(distance_to(&grid, |i| set[i]).unwrap(), expected.clone());
             // Wider integers give the same.
             let far = 3 * (n - 1) * (n - 1) + 1;
-            prop_assert_eq!(transform::<i32>(n, far, |i| set[i]).unwrap(), expected);
+            prop_assert_eq!(transform::<i32>(n, far, |i| set[i], &Unlimited).unwrap(), expected);
         }
     }
 

@@ -10,8 +10,13 @@ pub use cluster::{EPS_M, MIN_POINTS, dbscan};
 pub use distance::{distance_to, signed_distance_m};
 pub use sharpen::sharpen;
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+
+use distance::{distance_within, signed_distance_within};
+use sharpen::sharpen_within;
 
 use crate::budget::{Budget, Stop, Unlimited};
 use crate::contact_field::ContactField;
@@ -102,6 +107,7 @@ pub fn refine_within(
     let grid = field.grid;
     let (focal_contacts, largest) = above_share(&field.certainty, options.focal_contact_threshold);
     let (focal_centroids, _) = above_share(&field.centroid, options.focal_centroid_threshold);
+    budget.check()?;
     let centroids = centered(&grid, &focal_centroids, labels, table_m);
     budget.check()?;
 
@@ -109,12 +115,14 @@ pub fn refine_within(
     for &i in &focal_contacts {
         is_focal[i as usize] = true;
     }
-    let contact_distance = distance_to(&grid, |i| is_focal[i]);
+    let contact_distance = distance_within(&grid, |i| is_focal[i], budget);
     budget.check()?;
-    let mut scene_distance_m = signed_distance_m(&grid, solid);
+    let mut scene_distance_m = signed_distance_within(&grid, solid, budget);
     budget.check()?;
-    sharpen(&grid, solid, surface, &mut scene_distance_m);
-    let cells = fill(field, largest, contact_distance.as_deref(), &scene_distance_m);
+    sharpen_within(&grid, solid, surface, &mut scene_distance_m, budget);
+    budget.check()?;
+    let cells = fill(field, largest, contact_distance.as_deref(), &scene_distance_m, budget);
+    budget.check()?;
     Ok(Features {
         grid,
         focal_contacts,
@@ -204,11 +212,13 @@ fn fill(
     largest: f32,
     contact_distance: Option<&[f32]>,
     scene_distance_m: &[f32],
+    budget: &dyn Budget,
 ) -> Vec<Cell> {
     let grid = field.grid;
     let n = grid.resolution;
     let voxel = grid.voxel_m() as f32;
     let scale = if largest > 0.0 { 1.0 / largest } else { 0.0 };
+    let stopped = AtomicBool::new(false);
     // Collected, not filled in place: 16 MB are written once, by all threads.
     (0..grid.len() as u32)
         .into_par_iter()
@@ -216,6 +226,13 @@ fn fill(
             let side = n as u32;
             let i = index as usize;
             let [x, y, z] = [index / (side * side), index / side % side, index % side].map(|c| c as usize);
+            // A look for each row of voxels; what comes after the end of the budget is left out.
+            if z == 0 && budget.stop().is_some() {
+                stopped.store(true, Ordering::Relaxed);
+            }
+            if stopped.load(Ordering::Relaxed) {
+                return Cell::default();
+            }
             let certainty = (finite(field.certainty.get(i).copied().unwrap_or(0.0)) * scale).max(0.0);
             let scene = scene_distance_m[i];
             let own = || unit(field.inward.get(i).copied().unwrap_or_default().map(finite));

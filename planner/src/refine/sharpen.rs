@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::budget::{Budget, Unlimited};
 use crate::grid::Grid;
 use crate::volume::SurfaceVoxel;
 
@@ -12,6 +13,9 @@ const NEAR: f32 = 1.0;
 /// ... and from this one on the old ones do.
 const FAR: f32 = 2.5;
 
+/// Voxels between two looks at the budget.
+const PIECE: usize = 256;
+
 /// Corrects a signed distance field of `solid` (metres, memory order, see
 /// [`signed_distance_m`](super::signed_distance_m)) near the voxels of which `surface` tells how full they are.
 ///
@@ -19,6 +23,17 @@ const FAR: f32 = 2.5;
 /// the shortest ways to any such crossing, over the centres of the voxels; some voxels away the difference to whole
 /// voxels fades, since distances there follow from many of them.
 pub fn sharpen(grid: &Grid, solid: &[bool], surface: &[SurfaceVoxel], distance_m: &mut [f32]) {
+    sharpen_within(grid, solid, surface, distance_m, &Unlimited);
+}
+
+/// [`sharpen`], which leaves out what is left when the budget ends: whoever calls looks at it next.
+pub(super) fn sharpen_within(
+    grid: &Grid,
+    solid: &[bool],
+    surface: &[SurfaceVoxel],
+    distance_m: &mut [f32],
+    budget: &dyn Budget,
+) {
     if surface.is_empty() || solid.len() != grid.len() || distance_m.len() != grid.len() {
         return;
     }
@@ -26,7 +41,10 @@ pub fn sharpen(grid: &Grid, solid: &[bool], surface: &[SurfaceVoxel], distance_m
     let cube = Neighbour::cube(grid);
     let voxel = grid.voxel_m() as f32;
     let mut near = vec![false; grid.len()];
-    for s in surface.iter().filter(|s| (s.index as usize) < grid.len()) {
+    for (k, s) in surface.iter().filter(|s| (s.index as usize) < grid.len()).enumerate() {
+        if k % PIECE == 0 && budget.stop().is_some() {
+            return;
+        }
         let told = s.filled.clamp(0.0, 1.0);
         if told == std::mem::replace(&mut filled[s.index as usize], told) {
             continue;
@@ -39,15 +57,18 @@ pub fn sharpen(grid: &Grid, solid: &[bool], surface: &[SurfaceVoxel], distance_m
     // Whole voxels are off by less than one voxel: what is farther by that keeps its distance anyway.
     let farthest = (FAR + 1.0) * voxel;
     let near: Vec<usize> = (0..near.len()).filter(|&i| near[i] && distance_m[i].abs() < farthest).collect();
-    let corrected: Vec<f32> = near
-        .par_iter()
-        .map(|&i| {
+    let mut corrected = vec![0.0f32; near.len()];
+    corrected.par_chunks_mut(PIECE).zip(near.par_chunks(PIECE)).for_each(|(corrected, near)| {
+        if budget.stop().is_some() {
+            return;
+        }
+        for (corrected, &i) in corrected.iter_mut().zip(near) {
             let exact = to_surface(grid, &cube, &filled, i);
             let weight = ((FAR - exact.abs()) / (FAR - NEAR)).clamp(0.0, 1.0);
             let whole = distance_m[i];
-            if exact.is_finite() { whole + weight * (exact * voxel - whole) } else { whole }
-        })
-        .collect();
+            *corrected = if exact.is_finite() { whole + weight * (exact * voxel - whole) } else { whole };
+        }
+    });
     for (i, corrected) in near.into_iter().zip(corrected) {
         distance_m[i] = corrected;
     }

@@ -63,7 +63,7 @@ impl Servo {
             Judge { scene, objective: &objective, allowed: &allowed, options, directions: &self.directions };
         let target = f.target.position;
         let judged = |candidate: &Candidate, scratch: &mut Scratch| {
-            let grasp = judge.judge(candidate, scratch)?;
+            let grasp = judge.judge(candidate, scratch, budget)?;
             let is_target = (grasp.centroid - target).norm() <= OF_TARGET_M;
             if is_target { Ok(grasp) } else { Err(Rejection::new(RejectReason::NotTarget, 0.0)) }
         };

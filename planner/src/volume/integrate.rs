@@ -5,6 +5,7 @@ use nalgebra::Isometry3;
 use rayon::prelude::*;
 
 use super::{Labels, SURFACE_BAND_VOXELS, TRUNCATION_VOXELS, Volume, VoxelState};
+use crate::budget::{Budget, Unlimited};
 use crate::frame::{Frame, Intrinsics};
 
 /// A measurement that differs from what is remembered by more than this share of the truncation (2 cm) says that the world
@@ -47,7 +48,18 @@ impl Volume {
     ///
     /// The frame must have passed [`Frame::validate`]; a depth image of another size is ignored.
     pub fn integrate(&mut self, frame: &Frame, depth: &[f32], camera_from_volume: &Isometry3<f64>) {
-        self.fuse(frame, depth, camera_from_volume, u16::MAX);
+        self.fuse(frame, depth, camera_from_volume, u16::MAX, &Unlimited);
+    }
+
+    /// [`integrate`](Self::integrate), which leaves out what is left when the budget ends: whoever calls looks at it next.
+    pub(crate) fn integrate_within(
+        &mut self,
+        frame: &Frame,
+        depth: &[f32],
+        camera_from_volume: &Isometry3<f64>,
+        budget: &dyn Budget,
+    ) {
+        self.fuse(frame, depth, camera_from_volume, u16::MAX, budget);
     }
 
     /// Fuses one frame of many, of a world that may change: what was seen before counts as at most `memory` frames, so
@@ -58,10 +70,17 @@ impl Volume {
     /// Otherwise as [`integrate`](Self::integrate).
     pub fn update(&mut self, frame: &Frame, depth: &[f32], camera_from_volume: &Isometry3<f64>, memory: u16) {
         // The largest number means that nothing is forgotten.
-        self.fuse(frame, depth, camera_from_volume, memory.clamp(1, u16::MAX - 1));
+        self.fuse(frame, depth, camera_from_volume, memory.clamp(1, u16::MAX - 1), &Unlimited);
     }
 
-    fn fuse(&mut self, frame: &Frame, depth: &[f32], camera_from_volume: &Isometry3<f64>, memory: u16) {
+    fn fuse(
+        &mut self,
+        frame: &Frame,
+        depth: &[f32],
+        camera_from_volume: &Isometry3<f64>,
+        memory: u16,
+        budget: &dyn Budget,
+    ) {
         let (width, height) = (frame.image.width, frame.image.height);
         if depth.len() != width * height || depth.is_empty() || self.grid.is_empty() {
             return;
@@ -85,6 +104,9 @@ impl Volume {
             .for_each_init(
                 || Row { pixel: vec![-1; n], depth: vec![0.0; n], stretch: vec![0.0; n] },
                 |row, (x, ((tsdf, weight), state))| {
+                    if budget.stop().is_some() {
+                        return;
+                    }
                     for y in 0..n {
                         if !projector.row(x, y, row) {
                             continue;

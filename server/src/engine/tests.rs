@@ -2,9 +2,14 @@
 
 use std::sync::Weak;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 use bytes::Bytes;
+use graspd_planner::budget::{Budget as _, Stop};
+use graspd_planner::grid::GridError;
+use graspd_planner::scene::SceneError;
 
+use super::fault::scene_fault;
 use super::*;
 use crate::convert::{self, Parsed};
 use crate::pool::PoolConfig;
@@ -50,8 +55,15 @@ fn request(hands: usize, volume_resolution: i32, block_mm: u16) -> v1::PlanMulti
 }
 
 fn engine(scene_room: usize) -> Arc<Engine> {
-    let config =
-        PoolConfig { threads: 1, slots: 3, servo_slots: 0, queue: 64, scene_room, plain_fifo: false };
+    let config = PoolConfig {
+        threads: 1,
+        slots: 3,
+        servo_slots: 0,
+        queue: 64,
+        scene_room,
+        nice: 0,
+        plain_fifo: false,
+    };
     Arc::new(Engine {
         pool: Pool::start(config).unwrap(),
         registry: Registry::with_library(),
@@ -68,6 +80,7 @@ fn engine(scene_room: usize) -> Arc<Engine> {
         health: Health::default(),
         tracer: Tracer::default(),
         elsewhere: None,
+        outgoing: Outgoing::new(64, false),
         hand_store: None,
     })
 }
@@ -223,6 +236,25 @@ async fn calls_with_the_same_frames_read_them_once_and_others_do_not() {
     let ticket = engine.submit_single(&call, &tasks[0], None).unwrap();
     engine.answer(&call, &tasks[0], ticket).await.unwrap();
     assert_eq!(engine.scenes.read_count(), 3);
+}
+
+#[tokio::test]
+async fn a_scene_that_nobody_wanted_for_a_moment_is_read_anew() {
+    let engine = engine(8);
+    let Parsed { scene, .. } = convert::multi_hand(request(1, 40, 30)).unwrap();
+    let estimator = engine.estimators.get(None).unwrap();
+    let shared = engine.scenes.get(&Arc::new(scene), estimator);
+    let (first, second) = (CallBudget::new(Instant::now(), None), CallBudget::new(Instant::now(), None));
+    shared.want(&first);
+    let reading = shared.reading();
+    assert_eq!(reading.stop(), None);
+    first.cancel();
+    assert_eq!(reading.stop(), Some(Stop::Cancelled));
+    // Something may have been left out in this moment: who comes now does not get it.
+    shared.want(&second);
+    assert_eq!(reading.stop(), Some(Stop::Cancelled));
+    drop(reading);
+    assert!(shared.is_unread() && shared.reading().stop().is_none());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

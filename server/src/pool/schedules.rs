@@ -25,7 +25,7 @@ fn schedules(test: impl Fn() + Send + Sync + Clone + 'static) {
 }
 
 fn pool(slots: usize, servo_slots: usize, queue: usize, scene_room: usize) -> Arc<Pool> {
-    let config = PoolConfig { threads: 1, slots, servo_slots, queue, scene_room, plain_fifo: false };
+    let config = PoolConfig { threads: 1, slots, servo_slots, queue, scene_room, nice: 0, plain_fifo: false };
     match Pool::start(config) {
         Ok(pool) => Arc::new(pool),
         Err(error) => panic!("{error}"),

@@ -17,12 +17,13 @@ pub(super) struct Cores(rayon::ThreadPool);
 
 #[cfg(not(feature = "shuttle"))]
 impl Cores {
-    /// Starts the threads of slot number `slot`.
+    /// Starts the threads of slot number `slot`, which are so much nicer than the one that calls this.
     ///
     /// # Errors
     /// What the system said.
-    pub(super) fn start(slot: usize, threads: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
+    pub(super) fn start(slot: usize, threads: usize, nice: u8) -> Result<Self, rayon::ThreadPoolBuildError> {
         let builder = rayon::ThreadPoolBuilder::new().num_threads(threads.max(1));
+        let builder = builder.start_handler(move |_| be_nicer(nice));
         builder.thread_name(move |i| format!("plan-{slot}-{i}")).build().map(Self)
     }
 
@@ -32,13 +33,27 @@ impl Cores {
     }
 }
 
+/// Lowers the claim of this thread to a core, where others want it too. What the system refuses stays as it was.
+#[cfg(all(not(feature = "shuttle"), target_os = "linux"))]
+fn be_nicer(by: u8) {
+    // On Linux each thread has a niceness of its own, and nobody is that of the calling one.
+    use rustix::process::{getpriority_process, setpriority_process};
+    let own = getpriority_process(None).unwrap_or(0);
+    if let Err(error) = setpriority_process(None, (own + i32::from(by)).min(19)) {
+        tracing::warn!(%error, "planning threads are not nicer than others");
+    }
+}
+
+#[cfg(all(not(feature = "shuttle"), not(target_os = "linux")))]
+fn be_nicer(_by: u8) {}
+
 /// Under `shuttle` a job runs in its slot's own thread: others are not that scheduler's.
 #[cfg(feature = "shuttle")]
 pub(super) struct Cores;
 
 #[cfg(feature = "shuttle")]
 impl Cores {
-    pub(super) fn start(_slot: usize, _threads: usize) -> Result<Self, std::convert::Infallible> {
+    pub(super) fn start(_slot: usize, _threads: usize, _nice: u8) -> Result<Self, std::convert::Infallible> {
         Ok(Self)
     }
 

@@ -17,8 +17,16 @@ fn endless() -> CallBudget {
 }
 
 fn pool(slots: usize, queue: usize) -> Pool {
-    Pool::start(PoolConfig { threads: 1, slots, servo_slots: 0, queue, scene_room: 2, plain_fifo: false })
-        .unwrap()
+    Pool::start(PoolConfig {
+        threads: 1,
+        slots,
+        servo_slots: 0,
+        queue,
+        scene_room: 2,
+        nice: 0,
+        plain_fifo: false,
+    })
+    .unwrap()
 }
 
 /// A scene of that size, not shared with anybody.
@@ -283,8 +291,15 @@ const SECOND: Duration = Duration::from_secs(1);
 
 #[tokio::test]
 async fn servo_jobs_begin_while_every_other_slot_is_busy() {
-    let config =
-        PoolConfig { threads: 1, slots: 1, servo_slots: 1, queue: 4, scene_room: 2, plain_fifo: false };
+    let config = PoolConfig {
+        threads: 1,
+        slots: 1,
+        servo_slots: 1,
+        queue: 4,
+        scene_room: 2,
+        nice: 0,
+        plain_fifo: false,
+    };
     let pool = Pool::start(config).unwrap();
     let release = occupy(&pool);
     let mut waiting = pool.plain(&endless(), |_| "ordinary").unwrap();
@@ -373,4 +388,23 @@ async fn nobody_is_refused_for_the_rest_of_a_job_that_was_cancelled() {
     let mut admitted = pool.submit(&budget_ms(10_000), &short, None, |_| ()).unwrap();
     drop(release);
     admitted.wait().await.unwrap();
+}
+
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn planning_threads_are_as_much_nicer_as_they_are_told() {
+    let niceness = || rustix::process::getpriority_process(None).unwrap();
+    for by in [0, 3, 19] {
+        let config = PoolConfig { nice: by, slots: 1, servo_slots: 0, ..PoolConfig::for_cores(2) };
+        let pool = Pool::start(config).unwrap();
+        let mut ticket = pool.plain(&endless(), move |_| rayon::broadcast(|_| niceness())).unwrap();
+        let found = ticket.wait().await.unwrap();
+        let expected = (niceness() + i32::from(by)).min(19);
+        assert!(
+            found.len() == 2 && found.iter().all(|nice| *nice == expected),
+            "{found:?}, expected {expected}"
+        );
+    }
+    // Threads that answer are not.
+    assert!(niceness() < 19);
 }

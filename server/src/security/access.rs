@@ -39,6 +39,15 @@ impl Role {
         }
     }
 
+    /// The most urgent priority that a caller of this role may ask for where nothing else was said of it. Slots that are kept
+    /// for servo work are for streams of `ServoGrasp`, which are counted, and for callers who were named for it.
+    pub fn most_urgent(self) -> Priority {
+        match self {
+            Self::Viewer => Priority::Low,
+            Self::Controller | Self::Operator => Priority::High,
+        }
+    }
+
     /// The role that a method asks for; one that is not in this table asks for the highest.
     pub(crate) fn of_method(path: &str) -> Self {
         match path {
@@ -83,7 +92,8 @@ pub struct Access {
     pub tokens: Vec<Token>,
     /// Certificates that are more than viewers.
     pub certificates: Vec<Certificate>,
-    /// The most urgent priority that callers of these names may ask for; who is not here may ask for any.
+    /// The most urgent priority that callers of these names may ask for; for who is not here their role says it
+    /// ([`Role::most_urgent`]).
     pub most_urgent: BTreeMap<String, Priority>,
 }
 
@@ -169,7 +179,7 @@ impl Access {
             let token =
                 token.ok_or(ServiceError::Unauthenticated { problem: "expected \"Bearer TOKEN\"" })?;
             if let Some(token) = self.token(token) {
-                return Ok(Identity { caller: self.caller(&token.name), role: token.role });
+                return Ok(Identity { caller: self.caller(&token.name, token.role), role: token.role });
             }
             if required {
                 return Err(ServiceError::Unauthenticated { problem: "the token is not known here" });
@@ -178,10 +188,13 @@ impl Access {
         if let Some(sha256) = credentials.certificate {
             let listed = self.certificates.iter().find(|c| c.sha256 == sha256);
             return Ok(match listed {
-                Some(c) => Identity { caller: self.caller(&c.name), role: c.role },
+                Some(c) => Identity { caller: self.caller(&c.name, c.role), role: c.role },
                 None => {
                     let head: String = sha256.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
-                    Identity { caller: Caller::named(&format!("certificate-{head}")), role: Role::Viewer }
+                    Identity {
+                        caller: self.caller(&format!("certificate-{head}"), Role::Viewer),
+                        role: Role::Viewer,
+                    }
                 }
             });
         }
@@ -193,8 +206,8 @@ impl Access {
         Ok(Identity { caller: Caller::anonymous(credentials.peer), role: Role::Operator })
     }
 
-    fn caller(&self, name: &str) -> Caller {
-        let most_urgent = self.most_urgent.get(name).copied().unwrap_or(Priority::Servo);
+    fn caller(&self, name: &str, role: Role) -> Caller {
+        let most_urgent = self.most_urgent.get(name).copied().unwrap_or_else(|| role.most_urgent());
         Caller { most_urgent, ..Caller::named(name) }
     }
 
@@ -264,7 +277,15 @@ mod tests {
             access().identify(&credentials, true).unwrap().caller.most_urgent
         };
         assert_eq!(urgent(b"Bearer secret-1"), Priority::Normal);
-        assert_eq!(urgent(b"Bearer secret-2"), Priority::Servo);
+        assert_eq!(urgent(b"Bearer secret-2"), Priority::High);
+        let most_urgent = |certificate, required| {
+            let credentials = Credentials { peer: None, certificate, authorization: None };
+            access().identify(&credentials, required).unwrap().caller.most_urgent
+        };
+        assert_eq!(most_urgent(Some([7; 32]), true), Priority::High);
+        assert_eq!(most_urgent(Some([9; 32]), true), Priority::Low);
+        // Where nobody says who they are, nobody can be told apart.
+        assert_eq!(most_urgent(None, false), Priority::Servo);
     }
 
     #[test]

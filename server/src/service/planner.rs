@@ -55,7 +55,7 @@ impl PlannerService for PlannerApi {
         let _cancel = call.budget.cancel_on_drop();
         let repeatable = repeatable(request_id, &caller, asked);
         let plan = async || {
-            let begun = self.engine.begin_single(&call, &task, wire, None).await?;
+            let begun = self.engine.begin_single(&call, &task, wire, None)?;
             let mut answer = begun.answer.await;
             self.engine.leaves_alone(record, &task, &mut answer);
             answer
@@ -99,7 +99,7 @@ impl PlannerService for PlannerApi {
             // Nobody may be listening any more; the budget tells the planner so.
             better.send(Some(response)).ok();
         });
-        let begun = self.engine.begin_single(&call, &task, wire, Some(on_better)).await?;
+        let begun = self.engine.begin_single(&call, &task, wire, Some(on_better))?;
         let engine = Arc::clone(&self.engine);
         let stream = GraspStream { engine, call, task, record, sender, _cancel: cancel };
         tokio::spawn(stream.run(begun, improved, leader));
@@ -326,7 +326,7 @@ impl GraspStream {
         }
         let record = self.record.take();
         let plan = async || {
-            let begun = self.engine.begin_single(&self.call, &self.task, wire, None).await?;
+            let begun = self.engine.begin_single(&self.call, &self.task, wire, None)?;
             let mut answer = begun.answer.await;
             self.engine.leaves_alone(record, &self.task, &mut answer);
             answer

@@ -101,7 +101,15 @@ async fn dropping_a_call_frees_its_cores() {
 #[tokio::test]
 async fn a_full_queue_refuses_at_once_and_a_patient_client_gets_through() {
     let config = ServerConfig {
-        pool: PoolConfig { threads: 1, slots: 1, servo_slots: 0, queue: 0, scene_room: 1, plain_fifo: false },
+        pool: PoolConfig {
+            threads: 1,
+            slots: 1,
+            servo_slots: 0,
+            queue: 0,
+            scene_room: 1,
+            nice: 0,
+            plain_fifo: false,
+        },
         ..TestServer::config()
     };
     let server = TestServer::start_with(config).await;

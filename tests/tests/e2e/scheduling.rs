@@ -13,7 +13,8 @@ use crate::{GRIPPER, call_error, request, request_with};
 
 /// A server with one slot, so that what waits and what runs is known.
 async fn narrow(servo_slots: usize) -> TestServer {
-    let pool = PoolConfig { threads: 1, slots: 1, servo_slots, queue: 4, scene_room: 8, plain_fifo: false };
+    let pool =
+        PoolConfig { threads: 1, slots: 1, servo_slots, queue: 4, scene_room: 8, nice: 0, plain_fifo: false };
     TestServer::start_with(ServerConfig { pool, ..TestServer::config() }).await
 }
 

@@ -88,9 +88,10 @@ fn tokens() -> Access {
             token("eye", "look", Role::Viewer),
             token("arm", "plan", Role::Controller),
             token("desk", "rule", Role::Operator),
+            token("wrist", "follow", Role::Controller),
         ],
         certificates: Vec::new(),
-        most_urgent: [("arm".to_owned(), Priority::Normal)].into(),
+        most_urgent: [("arm".to_owned(), Priority::Normal), ("wrist".to_owned(), Priority::Servo)].into(),
     }
 }
 
@@ -187,7 +188,12 @@ async fn tokens_let_in_and_roles_say_how_far() {
     let error = call_error(arm.plan_grasps(&urgent(graspd_proto::v1::Priority::High)).await);
     assert_eq!((error.code, error.reason.as_str()), (Code::PermissionDenied, "PRIORITY_FORBIDDEN"));
     let desk = connect(server.addr, tls(), Some("rule")).await.unwrap();
-    desk.plan_grasps(&urgent(graspd_proto::v1::Priority::Servo)).await.unwrap();
+    desk.plan_grasps(&urgent(graspd_proto::v1::Priority::High)).await.unwrap();
+    // The slots of servo work are nobody's by rank: not even an operator's.
+    let error = call_error(desk.plan_grasps(&urgent(graspd_proto::v1::Priority::Servo)).await);
+    assert_eq!((error.code, error.reason.as_str()), (Code::PermissionDenied, "PRIORITY_FORBIDDEN"));
+    let wrist = connect(server.addr, tls(), Some("follow")).await.unwrap();
+    wrist.plan_grasps(&urgent(graspd_proto::v1::Priority::Servo)).await.unwrap();
     let text = format!("{:?}", ClientConfig { token: Some(Secret::new("rule")), ..ClientConfig::new("x") });
     assert!(!text.contains("rule"), "{text}");
 }

@@ -1,19 +1,23 @@
 //! One call: what is sent, when it is dropped, what became of it.
 
+use std::path::Path;
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::time::Duration;
 
-use anyhow::ensure;
+use anyhow::{Context as _, ensure};
 use graspd_client::{
     Client, ClientError, Code, DepthFrame, GraspEvent, PlanGraspsRequest, PlanGraspsResponse, PlanOptions,
     wire,
 };
+use tokio::sync::watch;
 use tokio::time::Instant;
 
 use super::LoadArgs;
 use super::mix::{Draw, Mix};
+use super::servo::{self, Cameras, Frames};
 use crate::commands::plan::FrameFiles;
+use crate::commands::replay;
 use crate::demo_scene;
 use crate::input::depth::DepthValues;
 use crate::remote::to_wire;
@@ -52,6 +56,8 @@ pub(super) struct Caller {
     kinds: Vec<wire::Priority>,
     sizes: Mix,
     frames: Vec<(DepthFrame, Vec<u8>)>,
+    /// Frames of recorded calls, in place of those.
+    recorded: Vec<(Vec<DepthFrame>, Option<wire::SceneOptions>)>,
     options: PlanOptions,
     deadline: Duration,
     drop: f64,
@@ -66,6 +72,7 @@ impl Caller {
     pub(super) fn new(clients: Vec<Client>, args: &LoadArgs) -> anyhow::Result<Self> {
         let kinds = args.priorities.names().map(priority).collect::<anyhow::Result<_>>()?;
         let frames = args.sizes.names().map(frame).collect::<anyhow::Result<_>>()?;
+        let recorded = args.recording.as_deref().map(recorded).transpose()?.unwrap_or_default();
         let count = |n: usize| i32::try_from(n).unwrap_or(i32::MAX);
         let options = PlanOptions {
             batch_size: count(args.batch as usize),
@@ -83,6 +90,7 @@ impl Caller {
             kinds,
             sizes: args.sizes.clone(),
             frames,
+            recorded,
             options,
             deadline: Duration::from_millis(args.deadline_ms),
             drop: args.drop,
@@ -124,27 +132,67 @@ impl Caller {
         Outcome { latency, service: sent.elapsed(), end, priority, in_time }
     }
 
+    /// Servo streams beside the calls, until told to stop; with the first picture and the first hand.
+    pub(super) fn servo_until(
+        &self,
+        args: &LoadArgs,
+        stopped: watch::Receiver<bool>,
+    ) -> anyhow::Result<impl Future<Output = anyhow::Result<Frames>> + use<>> {
+        let hand = self.hands.names().next().unwrap_or_default().to_owned();
+        let own =
+            self.recorded.iter().flat_map(|(frames, _)| frames).find(|frame| frame.camera_pose.is_some());
+        let bundled = || self.frames.first().map(|(frame, pixels)| self.own_frame(0, frame, pixels.clone()));
+        let frame = own.cloned().or_else(bundled).context("--servo: found no frame to send")?;
+        let cameras = Cameras { streams: args.servo, rate: args.servo_rate, hand, frame };
+        let warm = Instant::now() + Duration::from_secs_f64(args.warmup);
+        Ok(servo::stream_until(self.clients.clone(), cameras, warm, stopped))
+    }
+
+    /// A frame that no other call brings: one millimetre in one pixel makes it another one for whoever compares, and the
+    /// same scene for whoever plans. Compressed ones are what they are.
+    fn own_frame(&self, number: u64, frame: &DepthFrame, mut pixels: Vec<u8>) -> DepthFrame {
+        let is_raw = frame.encoding() == wire::DepthEncoding::RawU16;
+        let at = (number as usize * 2) % pixels.len().max(1);
+        if let (true, Some(byte)) = (is_raw && !self.same_frame, pixels.get_mut(at & !1)) {
+            *byte ^= 1;
+        }
+        DepthFrame { data: pixels.into(), ..frame.clone() }
+    }
+
     fn request(&self, number: u64, priority: usize) -> PlanGraspsRequest {
         let draw = |which| Draw::of(self.seed, number, which);
         let hand = self.hands.names().nth(self.hands.pick(draw(5))).unwrap_or_default();
         let mut frames = Vec::new();
-        if let Some((frame, pixels)) = self.frames.get(self.sizes.pick(draw(6))) {
-            let mut pixels = pixels.clone();
-            let at = (number as usize * 2) % pixels.len().max(1);
-            // One millimetre in one pixel: another frame for whoever compares, the same scene for whoever plans.
-            if let (false, Some(byte)) = (self.same_frame, pixels.get_mut(at & !1)) {
-                *byte ^= 1;
-            }
-            frames.push(DepthFrame { data: pixels.into(), ..frame.clone() });
+        let mut scene_options = None;
+        let share = draw(6).share() * self.recorded.len() as f64;
+        if let Some((recorded, options)) = self.recorded.get(share as usize) {
+            frames.extend(recorded.iter().map(|frame| self.own_frame(number, frame, frame.data.to_vec())));
+            scene_options.clone_from(options);
+        } else if let Some((frame, pixels)) = self.frames.get(self.sizes.pick(draw(6))) {
+            frames.push(self.own_frame(number, frame, pixels.clone()));
         }
         let kind = self.kinds.get(priority).copied().unwrap_or(wire::Priority::Normal);
         PlanGraspsRequest {
             hand: format!("hands/{hand}"),
             frames,
+            scene_options,
             options: Some(PlanOptions { priority: kind.into(), seed: number, ..self.options.clone() }),
             ..PlanGraspsRequest::default()
         }
     }
+}
+
+/// Frames and scene options of the calls of a recording.
+fn recorded(path: &Path) -> anyhow::Result<Vec<(Vec<DepthFrame>, Option<wire::SceneOptions>)>> {
+    use wire::plan_record::Request;
+    let recording = replay::read(path)?;
+    let asked = recording.plans.into_iter().filter_map(|plan| match plan.request? {
+        Request::PlanGrasps(plan) => Some((plan.frames, plan.scene_options)),
+        Request::PlanMultiHand(plan) => Some((plan.frames, plan.scene_options)),
+    });
+    let asked: Vec<_> = asked.collect();
+    ensure!(!asked.is_empty(), "--recording: {}: no calls are recorded there", path.display());
+    Ok(asked)
 }
 
 async fn stream(client: &Client, request: &PlanGraspsRequest) -> Result<PlanGraspsResponse, ClientError> {

@@ -5,9 +5,11 @@ mod call;
 mod find;
 mod mix;
 mod report;
+mod servo;
 
 use std::io::Write as _;
 use std::net::ToSocketAddrs as _;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -76,6 +78,15 @@ pub(crate) struct LoadArgs {
     /// Every call sends the same frame, so that the server can share its scene
     #[arg(long)]
     same_frame: bool,
+    /// Frames come from the calls of this recording, in place of the bundled scene (a file, or its folder)
+    #[arg(long, value_name = "FILE|DIR", conflicts_with = "sizes")]
+    recording: Option<PathBuf>,
+    /// Servo streams beside the calls, each of a mocked camera
+    #[arg(long, default_value_t = 0, value_name = "STREAMS", value_parser = clap::value_parser!(u32).range(0..=1000))]
+    servo: u32,
+    /// Frames a second of each servo stream
+    #[arg(long, default_value_t = 10.0, value_name = "RATE")]
+    servo_rate: f64,
     /// Iterations, and how many of the last ones avoid penetration; the server's choice if left out
     #[arg(long, value_name = "ALL,LAST", value_parser = parse_scheme)]
     scheme: Option<graspd_planner::options::Scheme>,
@@ -141,6 +152,11 @@ impl LoadArgs {
             );
         }
         ensure!(
+            self.servo_rate > 0.0 && self.servo_rate <= 1000.0,
+            "--servo-rate: found {}, expected more than 0, at most 1000 frames a second",
+            self.servo_rate
+        );
+        ensure!(
             self.rate.is_some() || self.concurrency.is_some() || self.find_max.is_some(),
             "expected one of --rate, --concurrency and --find-max"
         );
@@ -152,11 +168,29 @@ impl LoadArgs {
 
     async fn measure(&self) -> anyhow::Result<Report> {
         let caller = Arc::new(self.caller().await?);
+        let calls = self.measure_calls(&caller);
+        if self.servo == 0 {
+            return calls.await;
+        }
+        let (stop, stopped) = tokio::sync::watch::channel(false);
+        let streams = caller.servo_until(self, stopped)?;
+        let calls = async {
+            let report = calls.await;
+            stop.send(true).ok();
+            report
+        };
+        let (report, frames) = tokio::join!(calls, streams);
+        let mut report = report?;
+        report.servo(&frames?)?;
+        Ok(report)
+    }
+
+    async fn measure_calls(&self, caller: &Arc<Caller>) -> anyhow::Result<Report> {
         match (self.rate, self.concurrency, self.find_max) {
-            (Some(rate), _, _) => self.open_loop(&caller, self.ramp_from.unwrap_or(rate), rate).await,
-            (None, Some(callers), _) => self.closed_loop(&caller, callers).await,
+            (Some(rate), _, _) => self.open_loop(caller, self.ramp_from.unwrap_or(rate), rate).await,
+            (None, Some(callers), _) => self.closed_loop(caller, callers).await,
             (None, None, Some(objective)) => {
-                find::find_max(objective, async |rate| self.open_loop(&caller, rate, rate).await).await
+                find::find_max(objective, async |rate| self.open_loop(caller, rate, rate).await).await
             }
             (None, None, None) => bail!("expected one of --rate, --concurrency and --find-max"),
         }

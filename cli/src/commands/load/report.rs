@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 
 use super::LoadArgs;
 use super::call::{End, Outcome};
+use super::servo::Frames;
 use crate::output::table::Table;
 
 /// Quantiles that are told.
@@ -68,6 +69,17 @@ pub(super) struct Report {
     by_priority: Vec<Latencies>,
     /// Refused calls, from when they were sent.
     refused: Latencies,
+    /// Servo streams beside them.
+    servo: Option<Servo>,
+}
+
+/// What servo streams found.
+#[derive(Debug)]
+struct Servo {
+    sent: u64,
+    /// From when frames were due.
+    answered: Latencies,
+    broken: BTreeMap<String, u64>,
 }
 
 impl Report {
@@ -88,7 +100,20 @@ impl Report {
             iterations: BTreeMap::new(),
             answered: Latencies::new()?,
             refused: Latencies::new()?,
+            servo: None,
         })
+    }
+
+    /// Takes in what became of servo streams beside the calls.
+    pub(super) fn servo(&mut self, frames: &Frames) -> anyhow::Result<()> {
+        let mut answered = Latencies::new()?;
+        frames.ages.iter().for_each(|age| answered.record(*age));
+        let mut broken = BTreeMap::new();
+        for reason in &frames.broken {
+            *broken.entry(reason.clone()).or_default() += 1;
+        }
+        self.servo = Some(Servo { sent: frames.sent, answered, broken });
+        Ok(())
     }
 
     /// Counts a call.
@@ -154,6 +179,11 @@ impl Report {
             "answered": self.answered.to_json(),
             "answered_by_priority": by_priority,
             "refused": self.refused.to_json(),
+            "servo": self.servo.as_ref().map(|servo| json!({
+                "frames": servo.sent,
+                "answered": servo.answered.to_json(),
+                "broken": servo.broken,
+            })),
         })
     }
 
@@ -197,7 +227,17 @@ impl Report {
             }
         }
         row("refused, from sent", &self.refused);
+        if let Some(servo) = &self.servo {
+            row("servo, from due", &servo.answered);
+        }
         write!(text, "{table}").ok();
+        if let Some(servo) = &self.servo {
+            // Newer frames take the place of older ones: not every frame has an answer.
+            writeln!(text, "servo: {} frames, {} answers", servo.sent, servo.answered.0.len()).ok();
+            for (reason, count) in &servo.broken {
+                writeln!(text, "  {count} streams ended: {reason}").ok();
+            }
+        }
         text
     }
 }

@@ -72,6 +72,7 @@ fn others_are_not_attacked_and_wrong_flags_are_named() {
     assert!(message("").contains("--rate, --concurrency and --find-max"));
     assert!(message("--rate=-1").starts_with("--rate: found -1"));
     assert!(message("--rate 1 --drop 2").starts_with("--drop: found 2"));
+    assert!(message("--rate 1 --servo 1 --servo-rate 0").starts_with("--servo-rate: found 0"));
     assert!(message("--rate 1 --duration 0").starts_with("--duration: found 0"));
     assert!(message("--rate 1 --server http://192.0.2.1:1").contains("not this machine"));
     assert!(parse("--rate 1 --concurrency 2").is_err());
@@ -102,6 +103,15 @@ fn load_on_a_server_of_our_own_is_counted_to_the_last_call() {
         let closed =
             parse(&format!("{common} --concurrency 2 --same-frame")).unwrap().measure().await.unwrap();
         assert!(closed.calls() > 0 && closed.answered_share() > 0.99, "{}", closed.to_text());
+        let servo = parse(&format!("{common} --concurrency 1 --servo 2 --servo-rate 5")).unwrap();
+        let json = servo.measure().await.unwrap().to_json();
+        let servo = &json["servo"];
+        assert!(
+            servo["frames"].as_u64().unwrap() >= 2 && servo["broken"].as_object().unwrap().is_empty(),
+            "{json}"
+        );
+        let answered = servo["answered"]["count"].as_u64().unwrap();
+        assert!((1..=servo["frames"].as_u64().unwrap()).contains(&answered), "{json}");
         let nobody = parse("--rate 1 --hands nobody --server http://127.0.0.1:1").unwrap();
         assert!(nobody.measure().await.is_err());
     });

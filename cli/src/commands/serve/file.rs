@@ -41,6 +41,7 @@ struct Planning {
     slots: Option<u32>,
     servo_slots: Option<u32>,
     queue: Option<u32>,
+    nice: Option<u32>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -117,6 +118,9 @@ pub(super) fn parse(text: &str) -> anyhow::Result<(ServerConfig, Option<bool>)> 
     set(&mut pool.slots, "planning.slots", file.planning.slots, (1, 1024))?;
     set(&mut pool.servo_slots, "planning.servo_slots", file.planning.servo_slots, (0, 1024))?;
     set(&mut pool.queue, "planning.queue", file.planning.queue, (0, 100_000))?;
+    let mut nice = usize::from(pool.nice);
+    set(&mut nice, "planning.nice", file.planning.nice, (0, 19))?;
+    pool.nice = u8::try_from(nice).unwrap_or(19);
     config.tls = file.tls.map(|tls| Tls {
         require_client_certificate: tls.require_client_certificate.unwrap_or(tls.client_roots.is_some()),
         certificate: tls.certificate,
@@ -263,6 +267,7 @@ mod tests {
             ("listen = \"here\"".to_owned(), "line 1, column 10"),
             ("[planning]\nslots = 0".to_owned(), "planning.slots: found 0, expected 1 to 1024"),
             ("[planning]\nslots = -1".to_owned(), "line 2, column 9"),
+            ("[planning]\nnice = 20".to_owned(), "planning.nice: found 20, expected 0 to 19"),
             ("[limits]\nreceive_seconds = 0".to_owned(), "limits.receive_seconds: found 0, expected 0.01 to"),
             ("[record]\nfolder = \"r\"\nshare = 2".to_owned(), "record.share: found 2, expected 0 to 1"),
             ("[record]\nshare = 1".to_owned(), "missing field `folder`"),
