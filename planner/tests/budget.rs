@@ -50,7 +50,7 @@ fn run(looks: &Looks) -> Option<(usize, usize)> {
         Err(other) => panic!("{other}"),
     };
     let reading = looks.count();
-    let hand = library::hand("leap").unwrap();
+    let hand = library::hand("leap").expect("the LEAP Hand is in the library");
     let scheme = Scheme { iterations: 20, with_penetration: 10 };
     let options = PlanOptions { batch: 6, scheme, ..PlanOptions::default() };
     let plan = plan::plan(&scene, hand, &options, looks, None);
