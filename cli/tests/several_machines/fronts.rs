@@ -32,6 +32,8 @@ fn get(addr: SocketAddr, path: &str) -> (String, String) {
 /// A metric's value.
 fn value(http: SocketAddr, series: &str) -> Option<u64> {
     let (_, text) = get(http, "/metrics");
+    // Of a series that may be absent, and has no labels, the braces are written all the same.
+    let text = text.replace("{} ", " ");
     text.lines().find_map(|line| line.strip_prefix(series)?.trim().parse().ok())
 }
 

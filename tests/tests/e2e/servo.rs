@@ -346,7 +346,7 @@ fn resident_bytes() -> Option<u64> {
 #[tokio::test]
 async fn memory_stays_flat_over_many_frames() {
     let asked = std::env::var("GRASPD_SERVO_FRAMES").ok().and_then(|n| n.parse().ok());
-    let frames: u64 = asked.unwrap_or(200);
+    let frames: u64 = asked.unwrap_or(400);
     let server = TestServer::start().await;
     let mut stream = server.client().await.servo_grasp(config()).await.unwrap();
     let warm = frames / 4;
