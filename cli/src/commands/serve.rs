@@ -73,7 +73,7 @@ pub(crate) struct ServeArgs {
     /// Address of the live view for Foxglove and its like: loopback alone, for example 127.0.0.1:8765
     #[arg(long, env = "GRASPD_LIVE", value_name = "ADDRESS:PORT")]
     live: Option<SocketAddr>,
-    /// Origin of a viewer's page elsewhere that may look too, for example https://app.foxglove.dev
+    /// Origin of a viewer's page elsewhere that may look too, for example `https://app.foxglove.dev`
     #[arg(long, env = "GRASPD_LIVE_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
     live_origin: Vec<String>,
     /// Calibration of the score for this site, as graspd recalibrate writes it
