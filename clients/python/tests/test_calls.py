@@ -109,8 +109,10 @@ def test_a_forgotten_stream_ends_the_work(small_server: Server, frame: graspd.De
 
 
 INTERRUPTED = """
-import graspd, sys
+import graspd, signal, sys
 from tests.conftest import LONG
+# A shell starts programs in the background with interrupts ignored, and that is inherited.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 with graspd.connect(sys.argv[1], timeout=300) as planner:
     print("asking", flush=True)
     try:
