@@ -15,7 +15,7 @@ if ! [ -x "$venv/bin/python" ] || ! "$venv/bin/python" -c 'import pyk4a, numpy' 
     timeout 180 "$venv/bin/pip" install --quiet --disable-pip-version-check --only-binary :all: --retries 2 --timeout 20 \
         pyk4a-bundle==1.5.0 numpy==1.26.4 || exit "${PEER_IS_AWAY:-75}"
 fi
-cargo build --quiet -p graspd-adapters-azure-kinect --example peer
+cargo build --quiet --workspace --example peer
 peer=${CARGO_TARGET_DIR:-target}/debug/examples/peer
 display=()
 if command -v xvfb-run >/dev/null 2>&1; then

@@ -9,6 +9,6 @@ if ! [ -x "$venv/bin/python" ] || ! "$venv/bin/python" -c 'import dynamixel_sdk,
     python3 -m venv "$venv"
     "$venv/bin/pip" install --quiet --disable-pip-version-check dynamixel-sdk==4.1.0 rustypot==1.13.1
 fi
-cargo build --quiet -p graspd-adapters-emulators --example dynamixel_bus
+cargo build --quiet --workspace --example dynamixel_bus
 emulator=${CARGO_TARGET_DIR:-target}/debug/examples/dynamixel_bus
 exec timeout 120 "$venv/bin/python" tests/peers/dynamixel.py "$emulator"

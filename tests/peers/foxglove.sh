@@ -14,7 +14,7 @@ if [ ! -d "$packages/node_modules/protobufjs" ]; then
         @foxglove/ws-protocol@0.8.0 ws@8.18.3 protobufjs@7.5.4 || exit "${PEER_IS_AWAY:-75}"
 fi
 if [ -z "${GRASPD_BIN:-}" ]; then
-    cargo build --quiet -p graspd
+    cargo build --quiet --workspace --bin graspd
     GRASPD_BIN="${CARGO_TARGET_DIR:-target}/debug/graspd"
 fi
 work=$(mktemp -d)

@@ -17,7 +17,7 @@ if ! [ -x "$venv/bin/python" ] || ! "$venv/bin/python" -c 'import rclpy, sensor_
         ros-kilted-geometry-msgs==5.5.1 ros-kilted-sensor-msgs==5.5.1 ros-rmw-fastrtps-cpp==9.3.3 \
         || exit "${PEER_IS_AWAY:-75}"
 fi
-cargo build --quiet -p graspd-adapters-pico-flexx --example watch
+cargo build --quiet --workspace --example watch
 watch=$(readlink -f "${CARGO_TARGET_DIR:-target}/debug/examples/watch")
 apart=()
 if unshare -n true 2>/dev/null; then

@@ -12,12 +12,12 @@ if ! [ -x "$venv/bin/python" ] || ! "$venv/bin/python" -c 'import pyrobotiqgripp
         pyrobotiqgripper==3.3.14 pyrobotiqur==0.2.2 minimalmodbus==2.1.1 pymodbus==3.16.1
 fi
 examples=${CARGO_TARGET_DIR:-target}/debug/examples
-cargo build --quiet -p graspd-adapters-emulators --example robotiq_gripper
+cargo build --quiet --workspace --example robotiq_gripper
 timeout 180 "$venv/bin/python" tests/peers/robotiq.py "$examples/robotiq_gripper"
 timeout 240 "$venv/bin/python" tests/peers/robotiq_three_finger.py "$examples/robotiq_gripper"
 
 # Our master against pymodbus as the slave.
-cargo build --quiet -p graspd-adapters-robotiq --example grip --example three_finger
+cargo build --quiet --workspace --example grip --example three_finger
 for model in 2f 3f; do
     for kind in rtu tcp; do
         coproc slave { exec "$venv/bin/python" tests/peers/modbus_slave.py "$kind" "$model"; }

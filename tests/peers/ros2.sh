@@ -30,10 +30,11 @@ if ! [ -x "$venv/bin/python" ] || ! "$venv/bin/python" -c "import $messages" 2>/
         || exit "${PEER_IS_AWAY:-75}"
 fi
 # GRASPD_BIN names a server's binary; without it one is built.
-programs=${CARGO_TARGET_DIR:-target}/debug
-graspd=${GRASPD_BIN:-$programs/graspd}
-[ -n "${GRASPD_BIN:-}" ] || cargo build --quiet -p graspd
-cargo build --quiet -p graspd-ros2
+graspd=${GRASPD_BIN:-${CARGO_TARGET_DIR:-target}/debug/graspd}
+[ -n "${GRASPD_BIN:-}" ] || cargo build --quiet --workspace --bin graspd
+# What was built with the named program lies beside it.
+programs=$(dirname "$graspd")
+[ -n "${GRASPD_BIN:-}" ] && [ -x "$programs/graspd-ros2" ] || cargo build --quiet --workspace --bin graspd-ros2
 # The last words of a command line run in that network.
 timeout 900 "${apart[@]}" bash -c '
     ip link set lo up

@@ -12,7 +12,7 @@ if [ ! -x "$venv/bin/python" ]; then
     "$venv/bin/pip" install --quiet --disable-pip-version-check \
         ur_rtde==1.6.5 universal-robots-clients==0.4.0 ur-analytic-ik==0.1.0.post3
 fi
-cargo build --quiet -p graspd-adapters-emulators --example ur_emulator
+cargo build --quiet --workspace --example ur_emulator
 "$venv/bin/python" tests/peers/ur_kinematics.py | diff - adapters/ur/tests/golden/kinematics.tsv
 echo "kinematics: the committed table is what ur-analytic-ik computes"
 "$target/debug/examples/ur_emulator" --address "$address" &
