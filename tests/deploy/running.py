@@ -76,6 +76,14 @@ def counter(admin: int, name: str) -> int:
     return sum(int(line.rsplit(" ", 1)[1]) for line in lines if line.split(":")[0].endswith(name))
 
 
+def told(report: dict, admin: int, processes: dict[str, Process]) -> str:
+    """What went wrong, and what Envoy and the others have to say of it."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{admin}/stats?filter=upstream_rq_&usedonly", timeout=20) as answer:
+        counters = answer.read().decode()
+    logs = [f"{name}: {line}" for name, process in processes.items() for line in process.log[-20:]]
+    return "\n".join([f"{report['codes']} {report.get('messages')}", counters, *logs])
+
+
 def check() -> str:
     # The file as it is, before anything in it is changed.
     done = subprocess.run(
@@ -138,7 +146,7 @@ def under_load(folder: Path) -> str:
         out, _ = load.communicate(timeout=SECONDS + PATIENCE_S)
         assert load.returncode == 0, out
         report = json.loads(out)
-        assert report["calls"] >= SECONDS and set(report["codes"]) == {"OK"}, report["codes"]
+        assert report["calls"] >= SECONDS and set(report["codes"]) == {"OK"}, told(report, admin, processes)
         retried, abandoned = counter(admin, "upstream_rq_retry"), counter(admin, "retry_or_shadow_abandoned")
         assert abandoned == 0, f"{abandoned} calls were too large to be repeated"
         return f"{report['calls']} calls while fronts and worker were killed, none failed ({retried} repeated by Envoy)"

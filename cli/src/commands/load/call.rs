@@ -45,7 +45,7 @@ pub(super) enum End {
     /// Dropped on purpose.
     Dropped,
     /// With an error.
-    Failed { code: Code, reason: String },
+    Failed { code: Code, reason: String, message: String },
 }
 
 /// Sends calls.
@@ -208,8 +208,10 @@ async fn stream(client: &Client, request: &PlanGraspsRequest) -> Result<PlanGras
 fn end(answer: Result<PlanGraspsResponse, ClientError>) -> End {
     match answer {
         Ok(answer) => End::Answered { iterations: answer.stats.map_or(0, |s| s.iteration_count) },
-        Err(ClientError::Call(error)) => End::Failed { code: error.code, reason: error.reason },
-        Err(other) => End::Failed { code: Code::Unknown, reason: other.to_string() },
+        Err(ClientError::Call(error)) => {
+            End::Failed { code: error.code, reason: error.reason, message: error.message }
+        }
+        Err(other) => End::Failed { code: Code::Unknown, reason: String::new(), message: other.to_string() },
     }
 }
 

@@ -63,6 +63,8 @@ pub(super) struct Report {
     in_time: u64,
     dropped: u64,
     codes: BTreeMap<String, u64>,
+    /// What the first call of each code was told.
+    messages: BTreeMap<String, String>,
     iterations: BTreeMap<i32, u64>,
     /// Answered calls, from when they were due.
     answered: Latencies,
@@ -97,6 +99,7 @@ impl Report {
             in_time: 0,
             dropped: 0,
             codes: BTreeMap::new(),
+            messages: BTreeMap::new(),
             iterations: BTreeMap::new(),
             answered: Latencies::new()?,
             refused: Latencies::new()?,
@@ -130,8 +133,9 @@ impl Report {
                 }
             }
             End::Dropped => self.dropped += 1,
-            End::Failed { code, reason } => {
+            End::Failed { code, reason, message } => {
                 let key = if reason.is_empty() { format!("{code:?}") } else { format!("{code:?}/{reason}") };
+                self.messages.entry(key.clone()).or_insert_with(|| message.clone());
                 *self.codes.entry(key).or_default() += 1;
                 if *code == graspd_client::Code::ResourceExhausted {
                     self.refused.record(outcome.service);
@@ -175,6 +179,7 @@ impl Report {
             "goodput_per_s": self.goodput(),
             "answered_share": self.answered_share(),
             "codes": self.codes,
+            "messages": self.messages,
             "iterations": self.iterations.iter().map(|(k, n)| (k.to_string(), *n)).collect::<BTreeMap<_, _>>(),
             "answered": self.answered.to_json(),
             "answered_by_priority": by_priority,
@@ -208,6 +213,9 @@ impl Report {
         .ok();
         for (code, count) in &self.codes {
             writeln!(text, "  {code:<40} {count:>8}").ok();
+            if let Some(message) = self.messages.get(code) {
+                writeln!(text, "    {message}").ok();
+            }
         }
         for (iterations, count) in &self.iterations {
             writeln!(text, "  answers after {iterations:>5} iterations {count:>17}").ok();

@@ -1,9 +1,12 @@
 //! Tests of the load generator: due times, mixes, refusals, and a run against a server in this process.
 
 use clap::Parser;
+use graspd_client::Code;
 use graspd_server::{Server, ServerConfig};
 
+use super::call::{End, Outcome};
 use super::mix::Draw;
+use super::report::Report;
 use super::*;
 
 #[derive(Debug, Parser)]
@@ -115,4 +118,23 @@ fn load_on_a_server_of_our_own_is_counted_to_the_last_call() {
         let nobody = parse("--rate 1 --hands nobody --server http://127.0.0.1:1").unwrap();
         assert!(nobody.measure().await.is_err());
     });
+}
+
+/// Whoever sees a code wants to know why.
+#[test]
+fn the_first_message_of_each_code_is_told() {
+    let args = parse("--rate 1").unwrap();
+    let mut report = Report::new(&args, 1.0).unwrap();
+    for (reason, message) in [("QUEUE_FULL", "first"), ("QUEUE_FULL", "second"), ("", "no reason")] {
+        let end =
+            End::Failed { code: Code::ResourceExhausted, reason: reason.into(), message: message.into() };
+        let (latency, service) = (Duration::from_millis(3), Duration::from_millis(2));
+        report.count(&Outcome { latency, service, end, priority: 0, in_time: false });
+    }
+    let json = report.to_json();
+    let expected =
+        serde_json::json!({"ResourceExhausted": "no reason", "ResourceExhausted/QUEUE_FULL": "first"});
+    assert_eq!(json["messages"], expected);
+    let text = report.to_text();
+    assert!(text.contains("first") && text.contains("no reason") && !text.contains("second"), "{text}");
 }
