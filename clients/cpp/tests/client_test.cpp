@@ -102,7 +102,7 @@ void keeps_time(const graspd::Config& config) {
   hurried.timeout = std::chrono::milliseconds(6000);
   const graspd::Client client(hurried);
   const auto began = std::chrono::steady_clock::now();
-  const auto plan = client.plan(question("leap", 4096, 10000));
+  const auto plan = client.plan(question("leap", 1024, 10000));
   CHECK(plan.stats().budget_exhausted());
   CHECK(std::chrono::steady_clock::now() - began < std::chrono::seconds(9));
   hurried.timeout = std::chrono::milliseconds(3);
