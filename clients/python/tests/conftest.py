@@ -108,5 +108,7 @@ def frame() -> graspd.DepthFrame:
 
 LONG = graspd.PlanOptions(batch_size=4096, scheme=(10000, 10000))
 """Work that takes minutes if nobody stops it."""
+MUCH = graspd.PlanOptions(batch_size=512, scheme=(10000, 10000))
+"""Work that a loaded machine begins within seconds, and no machine ends within them."""
 SOON = 20.0
 """Seconds in which a stopped job is gone, on a loaded machine: far less than the work would take."""

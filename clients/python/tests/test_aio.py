@@ -13,7 +13,7 @@ import pytest
 
 import graspd
 import graspd.aio
-from tests.conftest import LONG, SOON, Server
+from tests.conftest import LONG, MUCH, SOON, Server
 from tests.test_calls import ONCE, answers_soon
 from tests.test_hands import IDS, LIBRARY
 
@@ -107,10 +107,20 @@ def test_leaving_a_stream_ends_the_work(small_server: Server, frame: graspd.Dept
     run(body)
 
 
+def test_a_scene_is_read(server: Server, planner: graspd.Planner, frame: graspd.DepthFrame) -> None:
+    async def body() -> graspd.SceneReading:
+        async with graspd.aio.connect(server.address, timeout=60) as it:
+            return await it.read_scene(frame, max_points=1000)
+
+    found, expected = asyncio.run(body()), planner.read_scene(frame, max_points=1000)
+    assert np.array_equal(found.contact_field.contacts, expected.contact_field.contacts)
+    assert np.array_equal(found.points[0], expected.points[0], equal_nan=True)
+
+
 def test_deadlines_and_faults(small_server: Server, frame: graspd.DepthFrame) -> None:
     async def body() -> None:
         async with graspd.aio.connect(small_server.address, retry=ONCE) as planner:
-            plan = await planner.plan(frame, hand="leap", options=LONG, timeout=1.5)
+            plan = await planner.plan(frame, hand="leap", options=MUCH, timeout=6)
             assert plan.stats.budget_exhausted
             with pytest.raises((graspd.DeadlineExceededError, graspd.ResourceExhaustedError)):
                 await planner.plan(frame, hand="leap", options=LONG, timeout=0.004)

@@ -15,7 +15,7 @@ import pytest
 
 import graspd
 from graspd.requests import chosen_id, plan_request
-from tests.conftest import LONG, SOON, Server
+from tests.conftest import LONG, MUCH, SOON, Server
 
 ONCE = graspd.RetryPolicy(attempts=1)
 
@@ -42,9 +42,9 @@ def answers_soon(server: Server, frame: graspd.DepthFrame) -> None:
 def test_a_deadline_ends_the_work(small_server: Server, frame: graspd.DepthFrame) -> None:
     with graspd.connect(small_server.address) as planner:
         began = time.monotonic()
-        plan = planner.plan(frame, hand="leap", options=LONG, timeout=1.5)
+        plan = planner.plan(frame, hand="leap", options=MUCH, timeout=6)
         # The best so far came in time.
-        assert plan.stats.budget_exhausted and time.monotonic() - began < 3
+        assert plan.stats.budget_exhausted and time.monotonic() - began < 9
         # Too late, or refused at once because it would be.
         with pytest.raises((graspd.DeadlineExceededError, graspd.ResourceExhaustedError)) as caught:
             planner.plan(frame, hand="leap", options=LONG, timeout=0.004)

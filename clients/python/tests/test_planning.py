@@ -204,3 +204,35 @@ def test_a_message_that_is_too_large_is_refused(planner: graspd.Planner) -> None
     with pytest.raises(graspd.ResourceExhaustedError) as caught:
         planner.plan(np.ones((2400, 2400), np.float32), lens, hand="leap")
     assert caught.value.reason == "MESSAGE_TOO_LARGE" and caught.value.retry_after is None
+
+
+def test_a_scene_is_read_without_a_search(planner: graspd.Planner, frame: graspd.DepthFrame) -> None:
+    reading = planner.read_scene(frame, max_points=20_000)
+    field = reading.contact_field
+    assert len(field.contacts) == len(field.inward) == len(field.certainties) > 0
+    # Centres of voxels at the surface; at its edges some stand a voxel farther out.
+    assert np.median(on_the_box(field.contacts)) < VOXEL and on_the_box(field.contacts).max() < 3 * VOXEL
+    assert np.allclose(np.linalg.norm(field.inward, axis=1), 1, atol=1e-5)
+    assert ((field.certainties > 0) & (field.certainties <= 1)).all()
+    # A finger presses towards the middle of the box, not away from it.
+    towards = np.einsum("ij,ij->i", field.inward, [0, 0, HALF[2]] - field.contacts)
+    assert (towards > 0).mean() > 0.9
+    assert len(field.centroids) == len(field.centroid_weights) > 0
+    (points,) = reading.points
+    assert points.shape[2] == 3 and 5_000 < points.shape[0] * points.shape[1] <= 20_000
+    # Rows and columns are kept: holes stand where no pixel has a return.
+    seen = points[np.isfinite(points).all(axis=2)]
+    assert len(seen) > 0 and np.abs(on_the_table_or_box(seen)).max() < 0.005
+    plan = planner.plan(frame, hand=GRIPPER)
+    assert plan.workspace is not None and reading.estimator == plan.stats.estimator
+    assert np.array_equal(reading.workspace.pose, plan.workspace.pose) and "optimize" not in reading.stages
+    assert planner.read_scene(frame).points == ()
+    with pytest.raises(graspd.InvalidArgumentError) as refused:
+        planner.read_scene(frame, max_points=-1)
+    assert [v.field for v in refused.value.violations] == ["max_point_count"]
+
+
+def on_the_table_or_box(points: Array) -> Array:
+    """Distance of points from the nearer of box and table top."""
+    nearest: Array = np.minimum(on_the_box(points), np.abs(points[:, 2]))
+    return nearest

@@ -198,3 +198,26 @@ impl AsyncWrite for Connection {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Places;
+
+    #[test]
+    fn an_address_has_as_many_connections_as_it_may_and_this_machine_as_many_as_it_wants() {
+        let places = Places::default();
+        let (one, other, here) =
+            ("192.0.2.1".parse().unwrap(), "2001:db8::1".parse().unwrap(), "::1".parse().unwrap());
+        let first = places.take(one, 2).unwrap();
+        let second = places.take(one, 2).unwrap();
+        assert!(places.take(one, 2).is_none());
+        let _another = places.take(other, 2).unwrap();
+        // The place of one that has gone is free, and nothing is left of addresses that have gone.
+        drop(first);
+        let third = places.take(one, 2).unwrap();
+        assert!(places.take(one, 2).is_none());
+        let _here: Vec<_> = (0..5).map(|_| places.take(here, 2).unwrap()).collect();
+        drop((third, second));
+        assert_eq!(places.0.lock().unwrap().len(), 2);
+    }
+}

@@ -60,6 +60,7 @@ from graspd.plans import (
     TaskResult,
 )
 from graspd.poses import inverse, pose, transform
+from graspd.reading import ContactField, SceneReading
 from graspd.requests import HandTask
 from graspd.retry import RetryPolicy
 from graspd.servo import HandPosture, ServoAnswer, ServoCounters, ServoOptions
@@ -75,6 +76,7 @@ __all__ = [
     "CancelledError",
     "ConnectError",
     "Contact",
+    "ContactField",
     "CreatedHand",
     "DeadlineExceededError",
     "DepthFrame",
@@ -108,6 +110,7 @@ __all__ = [
     "ResourceExhaustedError",
     "RetryPolicy",
     "SceneOptions",
+    "SceneReading",
     "ServerInfo",
     "Servo",
     "ServoAnswer",

@@ -41,6 +41,7 @@ from graspd.hands import (
 from graspd.options import PlanOptions, SceneOptions
 from graspd.outcomes import Outcome, outcome_request
 from graspd.plans import MultiPlan, Plan, PlanEvent, TaskResult
+from graspd.reading import SceneReading, reading_from_wire, reading_request
 from graspd.requests import Hands, Scene
 from graspd.retry import NEVER, Attempts, RetryPolicy
 from graspd.servo import ServoOptions, servo_config
@@ -237,6 +238,25 @@ class AsyncPlanner:
         return AsyncServo(
             lambda: method(timeout=timeout, metadata=self._metadata), config, self._timeout(answer_timeout)
         )
+
+    async def read_scene(
+        self,
+        scene: Scene,
+        intrinsics: IntrinsicsLike | None = None,
+        *,
+        scene_options: SceneOptions | None = None,
+        max_points: int = 0,
+        timeout: float | None = None,
+    ) -> SceneReading:
+        """Reads a scene without a search for grasps; see `graspd.Planner.read_scene`."""
+        request = reading_request(scene, intrinsics, scene_options, max_points)
+        method = self._connection.planner.ReadScene
+        answer: planner_service_pb2.ReadSceneResponse = await self._unary(
+            lambda left: method(request, timeout=left, metadata=self._metadata),
+            timeout,
+            self._settings.retry,
+        )
+        return reading_from_wire(answer)
 
     async def report_outcome(
         self, plan: Plan | str, grasp_index: int, outcome: Outcome, *, note: str = "", timeout: float | None = None

@@ -112,26 +112,31 @@ def _no_grasp(message: grasp_pb2.NoGrasp) -> NoGrasp:
     return NoGrasp(name.removeprefix("NO_GRASP_REASON_").lower(), message.nearest_fix)
 
 
+def workspace_from_wire(message: grasp_pb2.Workspace) -> Workspace:
+    """The volume from its message.
+
+    Raises:
+        ProtocolError: If it has no pose.
+    """
+    return Workspace(
+        pose=placed(message.pose, "workspace.pose")[1],
+        size=message.size_m,
+        resolution=message.resolution,
+        table_height=message.table_height_m if message.HasField("table_height_m") else None,
+    )
+
+
 def plan_from_wire(message: planner_service_pb2.PlanGraspsResponse) -> Plan:
     """A plan from its message.
 
     Raises:
         ProtocolError: If the server left out what the protocol promises.
     """
-    workspace = None
-    if message.HasField("workspace"):
-        w = message.workspace
-        workspace = Workspace(
-            pose=placed(w.pose, "workspace.pose")[1],
-            size=w.size_m,
-            resolution=w.resolution,
-            table_height=w.table_height_m if w.HasField("table_height_m") else None,
-        )
     return Plan(
         hand=message.stats.hand.removeprefix("hands/"),
         grasps=tuple(grasp_from_wire(g) for g in message.grasps),
         no_grasp=_no_grasp(message.no_grasp) if message.HasField("no_grasp") else None,
-        workspace=workspace,
+        workspace=workspace_from_wire(message.workspace) if message.HasField("workspace") else None,
         stats=_stats(message.stats),
         trace=tuple(_terms(t) for t in message.trace),
         capture_time=(message.capture_time.ToDatetime(timezone.utc) if message.HasField("capture_time") else None),

@@ -15,6 +15,7 @@ from graspd.hands import HandLike
 from graspd.options import PlanOptions, SceneOptions
 from graspd.outcomes import Outcome, outcome_request
 from graspd.plans import MultiPlan, Plan, PlanEvent, TaskResult
+from graspd.reading import SceneReading, reading_from_wire, reading_request
 from graspd.requests import Hands, Scene
 from graspd.retry import Attempts, RetryPolicy
 from graspd.servo import ServoOptions, servo_config
@@ -253,6 +254,41 @@ class Planner(HandCalls):
             config,
             self._timeout(answer_timeout),
         )
+
+    def read_scene(
+        self,
+        scene: Scene,
+        intrinsics: IntrinsicsLike | None = None,
+        *,
+        scene_options: SceneOptions | None = None,
+        max_points: int = 0,
+        timeout: float | None = None,
+        cancellation: Cancellation | None = None,
+    ) -> SceneReading:
+        """Reads a scene as `plan` does, without a search for grasps: the volume, and where contacts are expected.
+
+        Args:
+            scene: As for `plan`.
+            intrinsics: As for `plan`.
+            scene_options: How the scene is read.
+            max_points: Points of each frame that come back at most, thinned out evenly by rows and columns; 0 for none.
+            timeout: Deadline of this call, seconds.
+            cancellation: A switch that ends the call from another thread.
+
+        Returns:
+            The volume, the contact field, the points that the cameras saw.
+
+        Raises:
+            CallError: As for `plan`.
+        """
+        request = reading_request(scene, intrinsics, scene_options, max_points)
+        answer: planner_service_pb2.ReadSceneResponse = self._unary(
+            lambda left: self._planner.ReadScene.future(request, timeout=left, metadata=self._metadata),
+            timeout,
+            self._settings.retry,
+            cancellation,
+        )
+        return reading_from_wire(answer)
 
     def report_outcome(
         self, plan: Plan | str, grasp_index: int, outcome: Outcome, *, note: str = "", timeout: float | None = None

@@ -46,7 +46,7 @@ def plan_request(
     """The question for one hand."""
     return wire.PlanGraspsRequest(
         hand=hand_name(hand),
-        frames=_frames(scene, intrinsics),
+        frames=frames(scene, intrinsics),
         scene_options=None if scene_options is None else scene_options.to_wire(),
         options=None if options is None else options.to_wire(),
         request_id=request_id,
@@ -79,7 +79,7 @@ def multi_hand_request(
         return wire.HandTask(task_id=name, hand=hand_name(task.hand), options=None if own is None else own.to_wire())
 
     return wire.PlanMultiHandRequest(
-        frames=_frames(scene, intrinsics),
+        frames=frames(scene, intrinsics),
         scene_options=None if scene_options is None else scene_options.to_wire(),
         tasks=[message(name, task) for name, task in tasks],
         request_id=request_id,
@@ -93,6 +93,7 @@ def chosen_id(request_id: str | None, policy: RetryPolicy) -> str:
     return uuid.uuid4().hex if policy.attempts > 1 else ""
 
 
-def _frames(scene: Scene, intrinsics: IntrinsicsLike | None) -> list[frame_pb2.DepthFrame]:
-    frames: list[DepthFrame] = as_frames(scene, intrinsics)
-    return [frame.to_wire() for frame in frames]
+def frames(scene: Scene, intrinsics: IntrinsicsLike | None) -> list[frame_pb2.DepthFrame]:
+    """A scene's frames as messages."""
+    seen: list[DepthFrame] = as_frames(scene, intrinsics)
+    return [frame.to_wire() for frame in seen]

@@ -1,14 +1,15 @@
 //! The server as a whole: what it listens on, what it offers, and how it ends.
 
+mod config;
+mod error;
+
 use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use graspd_live::LiveConfig;
 use graspd_proto::v1::hand_service_server::HandServiceServer;
 use graspd_proto::v1::info_service_server::InfoServiceServer;
 use graspd_proto::v1::planner_service_server::PlannerServiceServer;
@@ -19,18 +20,15 @@ use tokio::task::JoinHandle;
 use tonic_health::pb::health_server::HealthServer;
 use tonic_health::server::HealthService;
 
-use crate::calibration::Calibration;
+pub use self::config::ServerConfig;
+pub use self::error::ServeError;
 use crate::engine::Engine;
-use crate::estimators::Estimators;
-use crate::jobs::JobEngine;
 use crate::local::start_engine;
-use crate::page::{Page, PageLayer, Site};
-use crate::pool::{PoolConfig, PoolError};
-use crate::recorder::{RecordConfig, Recorder};
-use crate::registry::{FolderError, HandStore, HandSync};
-use crate::security::{Acceptor, Access, Limits, Quotas, Tls, TlsError, WrongAccess, accept};
+use crate::page::{PageLayer, Site};
+use crate::recorder::Recorder;
+use crate::registry::HandSync;
+use crate::security::{Acceptor, Quotas, accept};
 use crate::service::{CallLayer, Gatekeeper, HandApi, InfoApi, PlannerApi, ServoApi};
-use crate::trace::WrongCollector;
 
 /// HTTP/2 window of a stream: a whole depth frame, so that it is not throttled by round trips.
 const STREAM_WINDOW_BYTES: u32 = 8 << 20;
@@ -46,136 +44,6 @@ const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 const ABORT_GRACE: Duration = Duration::from_millis(500);
 /// The recording has this long to write what was answered.
 const RECORD_GRACE: Duration = Duration::from_secs(10);
-
-/// How a server is set up.
-#[derive(Debug, Clone)]
-pub struct ServerConfig {
-    /// Address to listen on; port 0 takes a free one. Default `127.0.0.1:50051`.
-    pub listen: SocketAddr,
-    /// Allows an address that other machines can reach, without encryption. Default false.
-    pub insecure_listen: bool,
-    /// Largest message that is taken, bytes. Default 16 MiB.
-    pub max_message_bytes: usize,
-    /// Certificates. Default none: connections are not encrypted.
-    pub tls: Option<Tls>,
-    /// Who may call. Default: whoever can connect.
-    pub access: Access,
-    /// How much there may be of everything.
-    pub limits: Limits,
-    /// Address of `/metrics`, `/livez` and `/readyz`, over HTTP without encryption. Default none.
-    pub metrics_listen: Option<SocketAddr>,
-    /// The page for browsers, at `/` of `listen`. Default none.
-    pub page: Option<Page>,
-    /// The planning pool. Default: by the number of cores.
-    pub pool: PoolConfig,
-    /// A folder of hands to offer besides the library. Default none.
-    pub hands_dir: Option<PathBuf>,
-    /// The contact estimators. Default: the geometric rule.
-    pub estimators: Estimators,
-    /// Address of an OpenTelemetry collector (OTLP over gRPC), for example `http://127.0.0.1:4317`. Default none.
-    pub otlp: Option<String>,
-    /// What is recorded. Default: nothing.
-    pub record: Option<RecordConfig>,
-    /// The live view for Foxglove and its like. Default: none.
-    pub live: Option<LiveConfig>,
-    /// What scores become on their way out. Default: they stay as the planner makes them.
-    pub calibration: Option<Calibration>,
-    /// Who plans. Default: this process.
-    pub engine: Option<Arc<dyn JobEngine>>,
-    /// Where hands that are created are kept, for other servers and workers too. Default: in this process.
-    pub hand_store: Option<Arc<dyn HandStore>>,
-    /// How long running calls may take to finish once the server is asked to end. Default 10 s.
-    pub drain_grace: Duration,
-}
-
-impl Default for ServerConfig {
-    fn default() -> Self {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        Self {
-            listen: SocketAddr::from(([127, 0, 0, 1], 50051)),
-            insecure_listen: false,
-            max_message_bytes: 16 << 20,
-            tls: None,
-            access: Access::default(),
-            limits: Limits::default(),
-            metrics_listen: None,
-            page: None,
-            pool: PoolConfig::for_cores(cores),
-            hands_dir: None,
-            estimators: Estimators::default(),
-            otlp: None,
-            record: None,
-            live: None,
-            calibration: None,
-            engine: None,
-            hand_store: None,
-            drain_grace: Duration::from_secs(10),
-        }
-    }
-}
-
-/// Why a server does not start or ends by itself.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ServeError {
-    /// The address is not a loopback address.
-    #[error(
-        "refusing to listen on {addr}: other machines could reach it and the connection would not be encrypted; \
-         name a certificate, listen on a loopback address such as 127.0.0.1:{port}, or allow it with --insecure-listen",
-        port = addr.port()
-    )]
-    NotLoopback {
-        /// The address.
-        addr: SocketAddr,
-    },
-    /// The address is not a loopback address, and anybody could call.
-    #[error(
-        "refusing to listen on {addr}: anybody who reaches it could call; name access tokens, or require client \
-         certificates, or allow it with --insecure-listen"
-    )]
-    Anybody {
-        /// The address.
-        addr: SocketAddr,
-    },
-    /// The certificates cannot be used.
-    #[error(transparent)]
-    Tls(#[from] TlsError),
-    /// The list of who may call is not one.
-    #[error(transparent)]
-    Access(#[from] WrongAccess),
-    /// The address cannot be bound.
-    #[error("cannot listen on {addr}")]
-    Bind {
-        /// The address.
-        addr: SocketAddr,
-        /// Why.
-        source: io::Error,
-    },
-    /// The folder of hands cannot be read.
-    #[error("the folder of hands cannot be read")]
-    Hands(#[from] FolderError),
-    /// The collector of traces has no address that can be used.
-    #[error(transparent)]
-    Collector(#[from] WrongCollector),
-    /// There can be no live view.
-    #[error(transparent)]
-    Live(#[from] graspd_live::LiveError),
-    /// The recording cannot be kept.
-    #[error(transparent)]
-    Recording(#[from] graspd_recording::FolderError),
-    /// The planning threads cannot be started.
-    #[error(transparent)]
-    Pool(#[from] PoolError),
-    /// The transport failed.
-    #[error("the transport failed")]
-    Transport(#[from] tonic::transport::Error),
-    /// The descriptors for reflection cannot be read.
-    #[error("the descriptors for reflection cannot be read")]
-    Reflection(#[from] tonic_reflection::server::Error),
-    /// The thread that reads hands was lost.
-    #[error("loading hands: {0}")]
-    Loading(String),
-}
 
 /// A server that is bound and not yet serving.
 #[derive(Debug)]
@@ -403,14 +271,6 @@ impl Drop for AbortOnDrop {
         if let Some(task) = &self.0 {
             task.abort();
         }
-    }
-}
-
-impl ServerConfig {
-    /// True if callers must say who they are.
-    fn access_required(&self) -> bool {
-        let certificates = self.tls.as_ref().is_some_and(|tls| tls.client_roots.is_some());
-        !self.access.tokens.is_empty() || certificates
     }
 }
 
