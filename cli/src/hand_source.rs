@@ -17,6 +17,12 @@ pub(crate) fn resolve(name: &str) -> anyhow::Result<Hand> {
     if path.is_dir() {
         return from_folder(path);
     }
+    if path.exists() {
+        bail!("hand {name:?}: found a file, expected a folder with hand.urdf and hand.toml, or an id");
+    }
+    if name.contains(std::path::MAIN_SEPARATOR) {
+        bail!("hand {name:?}: there is no such folder");
+    }
     bail!("hand {name:?}: {}", unknown(name, library::ids()))
 }
 
@@ -92,6 +98,14 @@ mod tests {
         assert!(unknown("robotiq_3F", &known).contains("did you mean \"robotiq-3f\"?"));
         assert!(unknown("leep", &known).contains("did you mean \"leap\"?"));
         assert!(!unknown("shadow-dexterous", &known).contains("did you mean"));
+    }
+
+    #[test]
+    fn what_looks_like_a_path_is_no_id() {
+        let missing = resolve("./leep").unwrap_err().to_string();
+        assert_eq!(missing, "hand \"./leep\": there is no such folder");
+        let file = resolve("Cargo.toml").unwrap_err().to_string();
+        assert!(file.contains("found a file, expected a folder"), "{file}");
     }
 
     #[test]
