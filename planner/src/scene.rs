@@ -168,9 +168,9 @@ fn read(
 ) -> Result<Scene, SceneError> {
     let budget = stages.budget;
     budget.check().map_err(SceneError::Stopped)?;
-    let solid = volume.solid();
+    let solid = volume.solid_within(budget);
     budget.check().map_err(SceneError::Stopped)?;
-    let surface = volume.surface(&solid, views);
+    let surface = volume.surface_within(&solid, views, budget);
     budget.check().map_err(SceneError::Stopped)?;
     let objects = volume.object_groups(&solid);
     budget.check().map_err(SceneError::Stopped)?;

@@ -80,6 +80,7 @@ impl ContactEstimator for Geometric {
         // Two passes: a standard deviation of 1.4 voxels, enough that a staircase of voxels has smooth normals.
         budget.check()?;
         let occupied: Vec<f32> = group.iter().map(|&g| if g > 0 { 1.0 } else { 0.0 }).collect();
+        budget.check()?;
         let once = smooth(&grid, &occupied, &region);
         budget.check()?;
         let density = smooth(&grid, &once, &region);

@@ -106,6 +106,7 @@ pub fn refine_within(
 ) -> Result<Features, Stop> {
     let grid = field.grid;
     let (focal_contacts, largest) = above_share(&field.certainty, options.focal_contact_threshold);
+    budget.check()?;
     let (focal_centroids, _) = above_share(&field.centroid, options.focal_centroid_threshold);
     budget.check()?;
     let centroids = centered(&grid, &focal_centroids, labels, table_m);

@@ -10,6 +10,7 @@
 use rayon::prelude::*;
 
 use super::{Volume, VoxelState};
+use crate::budget::{Budget, Unlimited};
 use crate::options::VolumeKind;
 
 /// Groups of connected object voxels smaller than this are sensor noise.
@@ -27,7 +28,12 @@ impl Volume {
     /// first voxel seen to be free), unseen gaps of one or two voxels between such voxels along x or y and wider
     /// ones between four of them (see [`PIT_VOXELS`]), and everything below the table top.
     pub fn solid(&self) -> Vec<bool> {
-        let mut solid = self.completed();
+        self.solid_within(&Unlimited)
+    }
+
+    /// [`Volume::solid`], which leaves out what is left when the budget ends: whoever calls looks at it next.
+    pub(crate) fn solid_within(&self, budget: &dyn Budget) -> Vec<bool> {
+        let mut solid = self.completed(budget);
         if self.kind == VolumeKind::Occupancy {
             for (i, (solid, state)) in solid.iter_mut().zip(&self.state).enumerate() {
                 *solid |= *state != VoxelState::Free && !self.is_streak(i);
@@ -56,7 +62,7 @@ impl Volume {
     }
 
     /// What was seen, completed downwards: [`Volume::solid`] of a TSDF, whatever the kind.
-    fn completed(&self) -> Vec<bool> {
+    fn completed(&self, budget: &dyn Budget) -> Vec<bool> {
         let n = self.grid.resolution;
         let floor = self.table_layer();
         let mut solid = vec![false; self.grid.len()];
@@ -80,13 +86,13 @@ impl Volume {
                 }
             }
         });
-        self.without_pits(&solid)
+        self.without_pits(&solid, budget)
     }
 
     /// A surface with a hole of few pixels would leave a shaft down to the table in the middle of an object, with
     /// walls that look like places to grasp. No finger fits there: unseen voxels that are narrowly enclosed on
     /// opposite sides are filled.
-    fn without_pits(&self, solid: &[bool]) -> Vec<bool> {
+    fn without_pits(&self, solid: &[bool], budget: &dyn Budget) -> Vec<bool> {
         let n = self.grid.resolution;
         let mut filled = solid.to_vec();
         let blank = vec![false; n];
@@ -98,6 +104,9 @@ impl Volume {
         columns.for_each_init(
             || vec![0u8; n],
             |sides, (row, (out, state))| {
+                if budget.stop().is_some() {
+                    return;
+                }
                 let (x, y) = (row / n, row % n);
                 // Distances to both sides of gaps of one and of two voxels.
                 for (a, b) in [(1, 1), (1, 2), (2, 1)] {
@@ -174,7 +183,7 @@ impl Volume {
         let n = self.grid.resolution;
         let first = self.first_object_layer();
         let mut open = if self.kind == VolumeKind::Occupancy {
-            self.with_skin(self.completed())
+            self.with_skin(self.completed(&Unlimited))
         } else {
             solid.to_vec()
         };

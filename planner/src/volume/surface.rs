@@ -9,6 +9,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rayon::prelude::*;
 
 use super::{TRUNCATION_VOXELS, Volume, VoxelState};
+use crate::budget::{Budget, Unlimited};
 use crate::frame::Frame;
 
 /// Points along each edge of a voxel.
@@ -39,6 +40,16 @@ impl Volume {
     /// fused before where none of them shows it; above the table only, whose height is known better. A voxel that nobody has
     /// looked into is as full as `solid` says and is not listed.
     pub fn surface(&self, solid: &[bool], views: &[View<'_>]) -> Vec<SurfaceVoxel> {
+        self.surface_within(solid, views, &Unlimited)
+    }
+
+    /// [`Volume::surface`], which leaves out what is left when the budget ends: whoever calls looks at it next.
+    pub(crate) fn surface_within(
+        &self,
+        solid: &[bool],
+        views: &[View<'_>],
+        budget: &dyn Budget,
+    ) -> Vec<SurfaceVoxel> {
         let n = self.grid.resolution;
         if solid.len() != self.grid.len() || n == 0 {
             return Vec::new();
@@ -49,6 +60,7 @@ impl Volume {
         let shares = |column: usize| {
             let (x, y) = (column / n, column % n);
             let views = &views;
+            let first = if budget.stop().is_some() { n } else { first };
             (first..n).filter_map(move |z| {
                 let index = column * n + z;
                 // What is neither solid nor seen to be free is unknown, and no part of it is solid.
