@@ -30,8 +30,8 @@ use graspd_scheduler::{Ask, Config, Refusal, Refused, Scheduler};
 use tokio::sync::oneshot;
 
 use crate::deadline::CallBudget;
-use slot::{Job, Refuse, Run, Shared, State, run_slot};
-use sync::{Condvar, Cores, Mutex, thread};
+use slot::{Job, Refuse, Run, Shared, SlotCores, State, run_slot};
+use sync::{Condvar, Mutex, thread};
 
 /// A job without a deadline is ordered as if it had this much time.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
@@ -51,7 +51,9 @@ pub struct PoolConfig {
     /// takes more than there is has all of it for itself.
     pub scene_room: usize,
     /// How much nicer planning threads are than the process, 0 to 19 (Linux): who waits for a core while they plan is a
-    /// thread that answers, refuses or cancels a call, and it needs the core for less than a millisecond.
+    /// thread that answers, refuses or cancels a call, and it needs the core for less than a millisecond. With 1 and
+    /// more, servo jobs run on threads that are no nicer than the process, and jobs that begin beside a servo on threads that
+    /// are nicer by 10 more.
     pub nice: u8,
     /// For comparison: order of arrival, nothing refused but by a full queue.
     pub plain_fifo: bool,
@@ -178,18 +180,19 @@ impl Pool {
             epoch: Instant::now(),
             state: Mutex::new(State { scheduler, room_taken: 0, running: Vec::new(), closed: false }),
             wake: Condvar::new(),
+            servo_at: Mutex::new(None),
             slowest_release_us: Default::default(),
             releases: Default::default(),
         });
         let pool = Self { shared: Arc::clone(&shared), config };
         for slot in 0..config.slots.max(1) + config.servo_slots {
-            let cores = Cores::start(slot, config.threads, config.nice)
+            let cores = SlotCores::start(slot, config.threads, config.nice)
                 .map_err(|e| PoolError::Threads(e.to_string()))?;
             let shared = Arc::clone(&shared);
             let room_limit = config.scene_room.max(1);
             thread::Builder::new()
                 .name(format!("plan-{slot}"))
-                .spawn(move || run_slot(&shared, &cores, room_limit))
+                .spawn(move || run_slot(&shared, cores, room_limit))
                 .map_err(|e| PoolError::Threads(e.to_string()))?;
         }
         Ok(pool)

@@ -2,13 +2,13 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use graspd_planner::budget::{Budget as _, Stop};
 use graspd_scheduler::{Fit, JobId, Scheduler, Time};
 
 use super::sync::{Condvar, Cores, Mutex, MutexGuard};
-use super::{Gate, Look, PoolError, SceneRoom, Turn};
+use super::{Gate, Look, PoolError, Priority, SceneRoom, Turn};
 use crate::deadline::CallBudget;
 
 /// Runs a job and gives back what tells its caller, to be called when the slot is free again.
@@ -68,7 +68,7 @@ impl State {
 
     /// Takes the first job that can begin, and the room for its scene. Where one has to wait for room, no
     /// other scene may overtake it (a large one would wait for ever), but jobs that read none may.
-    fn take_next(&mut self, now: Time, room_limit: usize) -> Option<(JobId, Job, usize)> {
+    fn take_next(&mut self, now: Time, room_limit: usize) -> Option<Taken> {
         let mut room_left = room_limit.saturating_sub(self.room_taken);
         let mut room = 0;
         let begun = self.scheduler.take(now, |job| {
@@ -91,7 +91,60 @@ impl State {
         })?;
         self.room_taken += room;
         self.running.push((begun.id, begun.payload.budget.clone()));
-        Some((begun.id, begun.payload, room))
+        Some(Taken { id: begun.id, job: begun.payload, room, priority: begun.ask.priority })
+    }
+}
+
+/// A job that begins.
+struct Taken {
+    id: JobId,
+    job: Job,
+    /// Room that its scene takes.
+    room: usize,
+    priority: Priority,
+}
+
+/// A servo is at work for so long after its last frame.
+const SERVO_LASTS: Duration = Duration::from_secs(1);
+/// Plans are so much nicer still while a servo is at work.
+const YIELDING: u8 = 10;
+
+/// The threads of one slot, by how nice they are. The frame of a servo needs the cores now, for some milliseconds: its threads
+/// are as nice as the process. A plan beside it can do without them for so long: jobs that begin while a servo is at work
+/// are nicer than the settings say. A thread that was made nicer cannot be made less so without privileges, hence sets
+/// of threads; all but the ordinary one are started when they are needed first.
+pub(super) struct SlotCores {
+    ordinary: Cores,
+    urgent: Option<Cores>,
+    yielding: Option<Cores>,
+    slot: usize,
+    threads: usize,
+    nice: u8,
+}
+
+impl SlotCores {
+    /// Starts the ordinary threads of slot number `slot`.
+    pub(super) fn start(slot: usize, threads: usize, nice: u8) -> Result<Self, super::sync::CoresError> {
+        let ordinary = Cores::start(slot, threads, nice)?;
+        Ok(Self { ordinary, urgent: None, yielding: None, slot, threads, nice })
+    }
+
+    /// The threads for a job of that priority, `beside_servo` if a servo is at work.
+    fn of(&mut self, priority: Priority, beside_servo: bool) -> &Cores {
+        // Where planning is to hold its share, nothing is nicer than anything.
+        let (set, nice) = match priority {
+            _ if self.nice == 0 => return &self.ordinary,
+            Priority::Servo => (&mut self.urgent, 0),
+            _ if beside_servo => (&mut self.yielding, self.nice.saturating_add(YIELDING)),
+            _ => return &self.ordinary,
+        };
+        if set.is_none() {
+            match Cores::start(self.slot, self.threads, nice) {
+                Ok(cores) => *set = Some(cores),
+                Err(error) => tracing::warn!(%error, "servo frames and plans share their threads"),
+            }
+        }
+        set.as_ref().unwrap_or(&self.ordinary)
     }
 }
 
@@ -100,6 +153,8 @@ pub(super) struct Shared {
     pub(super) epoch: Instant,
     pub(super) state: Mutex<State>,
     pub(super) wake: Condvar,
+    /// When the newest servo job began.
+    pub(super) servo_at: Mutex<Option<Instant>>,
     /// The longest that a job has run on after it was cancelled, microseconds.
     pub(super) slowest_release_us: AtomicU64,
     /// Jobs that ran when they were cancelled, by how long they ran on: up to each bound, and longer.
@@ -135,7 +190,7 @@ impl Shared {
 }
 
 /// The life of a slot: take the first job, run it, until the pool is closed.
-pub(super) fn run_slot(shared: &Arc<Shared>, cores: &Cores, room_limit: usize) {
+pub(super) fn run_slot(shared: &Arc<Shared>, mut cores: SlotCores, room_limit: usize) {
     let mut state = shared.lock();
     loop {
         let now = shared.now();
@@ -146,13 +201,18 @@ pub(super) fn run_slot(shared: &Arc<Shared>, cores: &Cores, room_limit: usize) {
             state = shared.lock();
             continue;
         }
-        if let Some((id, job, room)) = state.take_next(now, room_limit) {
+        if let Some(Taken { id, job, room, priority }) = state.take_next(now, room_limit) {
             drop(state);
             // What a job holds may need the lock when it is let go: nothing of it is left when the lock is taken again.
             let Job { budget, run, gate, refuse } = job;
             drop((gate, refuse));
             let turn = Turn::new(Arc::clone(shared), id, SceneRoom::new(Arc::clone(shared), room));
-            let tell = run(cores, turn);
+            if priority == Priority::Servo {
+                *shared.servo_at.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+            }
+            let servo_at = *shared.servo_at.lock().unwrap_or_else(PoisonError::into_inner);
+            let beside_servo = servo_at.is_some_and(|at| at.elapsed() < SERVO_LASTS);
+            let tell = run(cores.of(priority, beside_servo), turn);
             if let Some(since) = budget.cancelled_for() {
                 let us = u64::try_from(since.as_micros()).unwrap_or(u64::MAX);
                 shared.slowest_release_us.fetch_max(us, Ordering::Relaxed);

@@ -11,6 +11,12 @@ pub(super) use shuttle::sync::{Condvar, Mutex, MutexGuard};
 #[cfg(feature = "shuttle")]
 pub(super) use shuttle::thread;
 
+/// Why threads do not start.
+#[cfg(not(feature = "shuttle"))]
+pub(super) type CoresError = rayon::ThreadPoolBuildError;
+#[cfg(feature = "shuttle")]
+pub(super) type CoresError = std::convert::Infallible;
+
 /// The cores of a slot: parallel iterators of its jobs run on them.
 #[cfg(not(feature = "shuttle"))]
 pub(super) struct Cores(rayon::ThreadPool);
@@ -21,7 +27,7 @@ impl Cores {
     ///
     /// # Errors
     /// What the system said.
-    pub(super) fn start(slot: usize, threads: usize, nice: u8) -> Result<Self, rayon::ThreadPoolBuildError> {
+    pub(super) fn start(slot: usize, threads: usize, nice: u8) -> Result<Self, CoresError> {
         let builder = rayon::ThreadPoolBuilder::new().num_threads(threads.max(1));
         let builder = builder.start_handler(move |_| be_nicer(nice));
         builder.thread_name(move |i| format!("plan-{slot}-{i}")).build().map(Self)
@@ -53,7 +59,7 @@ pub(super) struct Cores;
 
 #[cfg(feature = "shuttle")]
 impl Cores {
-    pub(super) fn start(_slot: usize, _threads: usize, _nice: u8) -> Result<Self, std::convert::Infallible> {
+    pub(super) fn start(_slot: usize, _threads: usize, _nice: u8) -> Result<Self, CoresError> {
         Ok(Self)
     }
 

@@ -408,3 +408,24 @@ async fn planning_threads_are_as_much_nicer_as_they_are_told() {
     // Threads that answer are not.
     assert!(niceness() < 19);
 }
+
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn servo_frames_get_the_cores_before_plans() {
+    let niceness = || rustix::process::getpriority_process(None).unwrap();
+    let servo = Order { priority: Priority::Servo, ..order() };
+    let nicer = |by: i32| vec![(niceness() + by).min(19); 2];
+    let config = PoolConfig { slots: 1, servo_slots: 1, ..PoolConfig::for_cores(2) };
+    for (nice, expected) in [(5, [5, 0, 15]), (0, [0, 0, 0])] {
+        let pool = Pool::start(PoolConfig { nice, ..config }).unwrap();
+        let mut found = Vec::new();
+        for order in [order(), servo, order()] {
+            let mut ticket =
+                pool.submit(&endless(), &order, None, move |_| rayon::broadcast(|_| niceness())).unwrap();
+            found.push(ticket.wait().await.unwrap());
+        }
+        // A plan before any servo, a servo's frame, a plan beside it; the last may begin when that is over.
+        assert_eq!(found[..2], expected.map(nicer)[..2], "of {nice}");
+        assert!(found[2] == nicer(expected[2]) || found[2] == nicer(expected[0]), "{:?} of {nice}", found[2]);
+    }
+}

@@ -1,5 +1,7 @@
 //! `graspd eval servo`: the dynamic grasp servo against static grasping in dense clutter (Supplementary Note 7, Task 2).
 
+mod kept;
+
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,6 +16,7 @@ use graspd_training::evaluate::servo::{
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
+use self::kept::Kept;
 use crate::commands::plan::write_file;
 use crate::estimators::EstimatorArgs;
 
@@ -90,6 +93,10 @@ pub(crate) struct ServoArgs {
     /// Trays at the same time; as many as there are cores if left out
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1024))]
     jobs: Option<u32>,
+    /// Keep every tray that is done in this file, and do not do those again that are in it: a run that was stopped goes
+    /// on. Only with the program that began it: what has changed in it since is not noticed
+    #[arg(long, value_name = "FILE", conflicts_with = "pairs")]
+    resume: Option<PathBuf>,
     /// Write everything: every attempt of every tray
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -104,6 +111,20 @@ fn metres(text: &str) -> Result<f64, String> {
         Ok(value)
     } else {
         Err(format!("found {value}, expected more than 0"))
+    }
+}
+
+impl ServoArgs {
+    /// What a tray depends on, but for its hand, group, run and mode, in words: trays of other settings are not these.
+    fn trays_of(&self, estimator: &str) -> String {
+        format!(
+            "graspd {}, seed {}, nudge {:?} m, {} frames/s, give up after {}, estimator {estimator}",
+            env!("CARGO_PKG_VERSION"),
+            self.seed,
+            self.nudge,
+            self.fps,
+            self.give_up
+        )
     }
 }
 
@@ -139,9 +160,14 @@ pub(crate) fn run(args: &ServoArgs) -> anyhow::Result<()> {
             (Vec::new(), pairs)
         }
         None => {
-            let watcher = Watcher::new((trays * settings.modes.len()) as u64);
-            let trays = clear_with_servo(&settings, &estimator, &watcher)?;
+            let kept = args.resume.as_ref().map(|path| Kept::open(path, &args.trays_of(estimator.name())));
+            let kept = kept.transpose()?;
+            let done = kept.as_ref().map_or_else(Vec::new, |kept| kept.done.clone());
+            let watcher = Watcher { kept, ..Watcher::new((trays * settings.modes.len()) as u64) };
+            watcher.bar.inc(done.len() as u64);
+            let trays = clear_with_servo(&settings, &estimator, &watcher, &done)?;
             watcher.bar.finish_and_clear();
+            watcher.kept.map_or(Ok(()), |kept| kept.check())?;
             (trays, Vec::new())
         }
     };
@@ -211,6 +237,8 @@ pub(crate) fn run(args: &ServoArgs) -> anyhow::Result<()> {
 /// Shows progress on standard error.
 struct Watcher {
     bar: ProgressBar,
+    /// Where trays are kept that are done.
+    kept: Option<Kept>,
     /// Trials, successes.
     counts: Mutex<(usize, usize)>,
 }
@@ -221,7 +249,7 @@ impl Watcher {
         if let Ok(style) = ProgressStyle::with_template("{pos}/{len} trays {bar:30} {elapsed} {msg}") {
             bar.set_style(style);
         }
-        Self { bar, counts: Mutex::default() }
+        Self { bar, kept: None, counts: Mutex::default() }
     }
 }
 
@@ -260,6 +288,9 @@ impl ServoObserver for Watcher {
     }
 
     fn tray(&self, tray: &ServoTray) {
+        if let Some(kept) = &self.kept {
+            kept.add(tray);
+        }
         let end = tray.end();
         let line = format!(
             "{} {} run {} {}: {} of {} cleared, {} trials, {} successful",

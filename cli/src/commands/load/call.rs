@@ -137,7 +137,7 @@ impl Caller {
         &self,
         args: &LoadArgs,
         stopped: watch::Receiver<bool>,
-    ) -> anyhow::Result<impl Future<Output = anyhow::Result<Frames>> + use<>> {
+    ) -> anyhow::Result<impl Future<Output = anyhow::Result<Vec<Frames>>> + use<>> {
         let hand = self.hands.names().next().unwrap_or_default().to_owned();
         let own =
             self.recorded.iter().flat_map(|(frames, _)| frames).find(|frame| frame.camera_pose.is_some());

@@ -81,7 +81,7 @@ pub(crate) struct LoadArgs {
     /// Frames come from the calls of this recording, in place of the bundled scene (a file, or its folder)
     #[arg(long, value_name = "FILE|DIR", conflicts_with = "sizes")]
     recording: Option<PathBuf>,
-    /// Servo streams beside the calls, each of a mocked camera
+    /// Servo streams beside the calls, or alone, each of a mocked camera
     #[arg(long, default_value_t = 0, value_name = "STREAMS", value_parser = clap::value_parser!(u32).range(0..=1000))]
     servo: u32,
     /// Frames a second of each servo stream
@@ -157,8 +157,8 @@ impl LoadArgs {
             self.servo_rate
         );
         ensure!(
-            self.rate.is_some() || self.concurrency.is_some() || self.find_max.is_some(),
-            "expected one of --rate, --concurrency and --find-max"
+            self.rate.is_some() || self.concurrency.is_some() || self.find_max.is_some() || self.servo > 0,
+            "expected one of --rate, --concurrency and --find-max, or --servo"
         );
         if !self.i_own_this_target {
             refuse_others(&self.server)?;
@@ -179,9 +179,9 @@ impl LoadArgs {
             stop.send(true).ok();
             report
         };
-        let (report, frames) = tokio::join!(calls, streams);
+        let (report, streams) = tokio::join!(calls, streams);
         let mut report = report?;
-        report.servo(&frames?)?;
+        report.servo(&streams?)?;
         Ok(report)
     }
 
@@ -192,7 +192,11 @@ impl LoadArgs {
             (None, None, Some(objective)) => {
                 find::find_max(objective, async |rate| self.open_loop(caller, rate, rate).await).await
             }
-            (None, None, None) => bail!("expected one of --rate, --concurrency and --find-max"),
+            // Streams alone.
+            (None, None, None) => {
+                tokio::time::sleep(Duration::from_secs_f64(self.warmup + self.duration)).await;
+                Report::new(self, 0.0)
+            }
         }
     }
 

@@ -72,16 +72,43 @@ pub(super) struct Report {
     /// Refused calls, from when they were sent.
     refused: Latencies,
     /// Servo streams beside them.
-    servo: Option<Servo>,
+    servo: Vec<Servo>,
 }
 
-/// What servo streams found.
+/// What one servo stream found.
 #[derive(Debug)]
 struct Servo {
     sent: u64,
+    /// Answers a second.
+    rate: f64,
     /// From when frames were due.
     answered: Latencies,
+    /// From one answer to the next.
+    gaps: Latencies,
     broken: BTreeMap<String, u64>,
+}
+
+impl Servo {
+    fn new(frames: &Frames) -> anyhow::Result<Self> {
+        let (mut answered, mut gaps) = (Latencies::new()?, Latencies::new()?);
+        frames.ages.iter().for_each(|age| answered.record(*age));
+        frames.gaps.iter().for_each(|gap| gaps.record(*gap));
+        let mut broken = BTreeMap::new();
+        for reason in &frames.broken {
+            *broken.entry(reason.clone()).or_default() += 1;
+        }
+        Ok(Self { sent: frames.sent, rate: frames.rate(), answered, gaps, broken })
+    }
+
+    fn to_json(&self) -> Value {
+        json!({
+            "frames": self.sent,
+            "answers_per_s": self.rate,
+            "answered": self.answered.to_json(),
+            "gaps": self.gaps.to_json(),
+            "broken": self.broken,
+        })
+    }
 }
 
 impl Report {
@@ -103,19 +130,13 @@ impl Report {
             iterations: BTreeMap::new(),
             answered: Latencies::new()?,
             refused: Latencies::new()?,
-            servo: None,
+            servo: Vec::new(),
         })
     }
 
     /// Takes in what became of servo streams beside the calls.
-    pub(super) fn servo(&mut self, frames: &Frames) -> anyhow::Result<()> {
-        let mut answered = Latencies::new()?;
-        frames.ages.iter().for_each(|age| answered.record(*age));
-        let mut broken = BTreeMap::new();
-        for reason in &frames.broken {
-            *broken.entry(reason.clone()).or_default() += 1;
-        }
-        self.servo = Some(Servo { sent: frames.sent, answered, broken });
+    pub(super) fn servo(&mut self, streams: &[Frames]) -> anyhow::Result<()> {
+        self.servo = streams.iter().map(Servo::new).collect::<anyhow::Result<_>>()?;
         Ok(())
     }
 
@@ -184,11 +205,7 @@ impl Report {
             "answered": self.answered.to_json(),
             "answered_by_priority": by_priority,
             "refused": self.refused.to_json(),
-            "servo": self.servo.as_ref().map(|servo| json!({
-                "frames": servo.sent,
-                "answered": servo.answered.to_json(),
-                "broken": servo.broken,
-            })),
+            "servo": self.servo.iter().map(Servo::to_json).collect::<Vec<_>>(),
         })
     }
 
@@ -197,6 +214,8 @@ impl Report {
         let mut text = String::new();
         let offered = if self.offered > 0.0 {
             format!("offered {:.1}/s", self.offered)
+        } else if self.calls == 0 && !self.servo.is_empty() {
+            "servo streams alone".to_owned()
         } else {
             "closed loop".to_owned()
         };
@@ -235,13 +254,21 @@ impl Report {
             }
         }
         row("refused, from sent", &self.refused);
-        if let Some(servo) = &self.servo {
-            row("servo, from due", &servo.answered);
+        for (number, servo) in self.servo.iter().enumerate() {
+            row(&format!("servo {number}, from due"), &servo.answered);
+            row(&format!("servo {number}, answer to answer"), &servo.gaps);
         }
         write!(text, "{table}").ok();
-        if let Some(servo) = &self.servo {
+        for (number, servo) in self.servo.iter().enumerate() {
             // Newer frames take the place of older ones: not every frame has an answer.
-            writeln!(text, "servo: {} frames, {} answers", servo.sent, servo.answered.0.len()).ok();
+            writeln!(
+                text,
+                "servo {number}: {} frames, {} answers, {:.1} answers/s",
+                servo.sent,
+                servo.answered.0.len(),
+                servo.rate
+            )
+            .ok();
             for (reason, count) in &servo.broken {
                 writeln!(text, "  {count} streams ended: {reason}").ok();
             }

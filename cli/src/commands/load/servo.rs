@@ -25,24 +25,34 @@ pub(super) struct Cameras {
     pub(super) frame: DepthFrame,
 }
 
-/// What became of frames.
+/// What became of one camera's frames.
 #[derive(Debug, Default)]
 pub(super) struct Frames {
     /// That were sent.
     pub(super) sent: u64,
     /// Ages of the answered ones, from when they were due.
     pub(super) ages: Vec<Duration>,
+    /// From one answer to the next, in approaches that had begun: the first plan is none.
+    pub(super) gaps: Vec<Duration>,
     /// Streams that ended otherwise than on purpose, with what was said.
     pub(super) broken: Vec<String>,
 }
 
-/// Streams until told to stop; frames that are due before `warm` are not counted.
+impl Frames {
+    /// Answers a second, while one followed the other.
+    pub(super) fn rate(&self) -> f64 {
+        let time: f64 = self.gaps.iter().map(Duration::as_secs_f64).sum();
+        if time > 0.0 { self.gaps.len() as f64 / time } else { 0.0 }
+    }
+}
+
+/// Streams until told to stop, each camera's frames apart; frames that are due before `warm` are not counted.
 pub(super) async fn stream_until(
     clients: Vec<Client>,
     cameras: Cameras,
     warm: Instant,
     stopped: watch::Receiver<bool>,
-) -> anyhow::Result<Frames> {
+) -> anyhow::Result<Vec<Frames>> {
     let mut tasks = tokio::task::JoinSet::new();
     for number in 0..cameras.streams {
         let client = clients.get(number as usize % clients.len().max(1)).cloned().context("no connection")?;
@@ -56,17 +66,15 @@ pub(super) async fn stream_until(
                     tokio::time::sleep(Duration::from_millis(500)).await;
                 }
             }
-            all
+            (number, all)
         });
     }
-    let mut all = Frames::default();
+    let mut all = Vec::new();
     while let Some(done) = tasks.join_next().await {
-        let own = done.context("a stream's task was lost")?;
-        all.sent += own.sent;
-        all.ages.extend(own.ages);
-        all.broken.extend(own.broken);
+        all.push(done.context("a stream's task was lost")?);
     }
-    Ok(all)
+    all.sort_unstable_by_key(|(number, _)| *number);
+    Ok(all.into_iter().map(|(_, frames)| frames).collect())
 }
 
 /// One stream, from its configuration to its last frame.
@@ -104,16 +112,21 @@ async fn approach(
         sent
     };
     let listening = async {
-        let mut ages = Vec::new();
+        let (mut ages, mut gaps, mut before) = (Vec::new(), Vec::new(), None);
         while let Some(answer) = answers.next().await? {
+            let now = Instant::now();
             if due(answer.sequence) >= warm {
-                ages.push(due(answer.sequence).elapsed());
+                ages.push(now - due(answer.sequence));
+                gaps.extend(before.map(|before| now - before));
+                before = Some(now);
             }
         }
-        Ok::<_, graspd_client::ClientError>(ages)
+        Ok::<_, graspd_client::ClientError>((ages, gaps))
     };
-    let (sent, ages) = tokio::join!(sending, listening);
+    let (sent, heard) = tokio::join!(sending, listening);
     all.sent += sent;
-    all.ages.extend(ages?);
+    let (ages, gaps) = heard?;
+    all.ages.extend(ages);
+    all.gaps.extend(gaps);
     Ok(())
 }

@@ -71,6 +71,7 @@ fn others_are_not_attacked_and_wrong_flags_are_named() {
         let error = refuse_others(other).unwrap_err().to_string();
         assert!(error.contains("--i-own-this-target"), "{error}");
     }
+    parse("--servo 1").unwrap().check().unwrap();
     let message = |flags: &str| parse(flags).unwrap().check().unwrap_err().to_string();
     assert!(message("").contains("--rate, --concurrency and --find-max"));
     assert!(message("--rate=-1").starts_with("--rate: found -1"));
@@ -108,13 +109,17 @@ fn load_on_a_server_of_our_own_is_counted_to_the_last_call() {
         assert!(closed.calls() > 0 && closed.answered_share() > 0.99, "{}", closed.to_text());
         let servo = parse(&format!("{common} --concurrency 1 --servo 2 --servo-rate 5")).unwrap();
         let json = servo.measure().await.unwrap().to_json();
-        let servo = &json["servo"];
-        assert!(
-            servo["frames"].as_u64().unwrap() >= 2 && servo["broken"].as_object().unwrap().is_empty(),
-            "{json}"
-        );
-        let answered = servo["answered"]["count"].as_u64().unwrap();
-        assert!((1..=servo["frames"].as_u64().unwrap()).contains(&answered), "{json}");
+        let both = json["servo"].as_array().unwrap();
+        assert_eq!(both.len(), 2, "each stream has figures of its own: {json}");
+        for servo in both {
+            let (frames, answered) = (servo["frames"].as_u64().unwrap(), &servo["answered"]["count"]);
+            assert!(servo["broken"].as_object().unwrap().is_empty(), "{json}");
+            assert!((1..=frames).contains(&answered.as_u64().unwrap()), "{json}");
+            assert!(servo["gaps"]["count"].as_u64().unwrap() < answered.as_u64().unwrap(), "{json}");
+        }
+        let alone = parse(&format!("{common} --servo 1 --servo-rate 5")).unwrap().measure().await.unwrap();
+        assert_eq!(alone.calls(), 0);
+        assert!(alone.to_text().contains("servo streams alone"), "{}", alone.to_text());
         let nobody = parse("--rate 1 --hands nobody --server http://127.0.0.1:1").unwrap();
         assert!(nobody.measure().await.is_err());
     });

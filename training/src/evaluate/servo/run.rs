@@ -106,8 +106,8 @@ impl ServoTray {
     }
 }
 
-/// Clears every tray with every hand in every mode. The trays are in the order of groups, runs, hands and modes, and
-/// do not depend on the number of workers.
+/// Clears every tray with every hand in every mode, but for those that are `done` already. The trays are in the order of
+/// groups, runs, hands and modes, and do not depend on the number of workers.
 ///
 /// # Errors
 /// [`EvaluationError`] for settings of no use, and for what the world refuses.
@@ -115,6 +115,7 @@ pub fn clear_with_servo(
     settings: &ServoSettings,
     estimator: &Arc<dyn ContactEstimator>,
     observer: &dyn ServoObserver,
+    done: &[ServoTray],
 ) -> Result<Vec<ServoTray>, EvaluationError> {
     settings.validate()?;
     let mut jobs = Vec::new();
@@ -127,6 +128,12 @@ pub fn clear_with_servo(
     }
     in_turn(jobs.len(), settings.workers, |index| {
         let (group, run, hand, mode) = jobs[index];
+        let is_this = |t: &&ServoTray| {
+            (t.group, t.run, t.is_dynamic) == (group, run, mode == Mode::Dynamic) && t.hand == hand.id
+        };
+        if let Some(tray) = done.iter().find(is_this) {
+            return Ok(tray.clone());
+        }
         let tray = clear_tray(settings, estimator, group, run, hand, mode, observer)?;
         observer.tray(&tray);
         Ok(tray)
