@@ -1,6 +1,6 @@
 //! Grasps to arms: the assignment of what waits to those that are free, and their way.
 
-use graspd_assign::{Arm as Side, Assignment, Problem, Settings, assign};
+use graspd_assign::{Arm as Side, Assignment, Problem, Reason, Settings, assign};
 use tokio::time::Instant;
 
 use super::Lead;
@@ -15,6 +15,7 @@ impl Lead<'_> {
     /// Gives grasps to the arms that are free.
     pub(super) fn give(&mut self) {
         let Some(look) = self.look.take() else { return };
+        let _still = self.cell.clock.still();
         let free: Vec<usize> = self.idle().collect();
         let began = std::time::Instant::now();
         let (found, sides) = self.assignment(&look, &free);
@@ -41,6 +42,7 @@ impl Lead<'_> {
                 picks.push((arm, side[chosen.grasp]));
             }
             let reason = decision.reason.to_string();
+            self.arms[arm].blocked = is_blocked(&decision.reason);
             if given.is_none() {
                 self.arms[arm].doing = Doing::Idle { why: reason.clone() };
             }
@@ -100,6 +102,7 @@ impl Lead<'_> {
         // The assignment keeps corridors apart; the space has the last word.
         if let Err(refused) = self.space.reserve(arm, offered.corridor.clone(), Instant::now()) {
             let why = format!("{} is in the way", self.names[refused.holder]);
+            self.arms[arm].blocked = true;
             self.arms[arm].doing = Doing::Idle { why };
             return;
         }
@@ -113,7 +116,7 @@ impl Lead<'_> {
         };
         let (object, bin) = (offered.object, offered.bin.clone());
         let pose = offered.grasp.world_from_hand;
-        let tail = offered.corridor[offered.tail..].to_vec();
+        let tail = offered.tail.clone();
         // It and what lies against it: what is there after the pick only a look tells.
         let disturbed = self.config.sort.disturbed_m;
         let taken = look.objects[object].seen.clone();
@@ -125,9 +128,19 @@ impl Lead<'_> {
         self.together += u32::from(others > 0);
         self.idle_looks = 0;
         self.arms[arm].target = Some(pose);
-        self.arms[arm].tail = tail;
+        self.arms[arm].tail = Some(tail);
+        self.arms[arm].taking = Some(taken);
         self.arms[arm].is_over_tray = true;
         self.arms[arm].doing = Doing::Picking { object, bin, step: Step::Open };
         self.order(arm, Order::Pick(Box::new(chosen)));
+    }
+}
+
+/// True for an arm that others keep from what it could take.
+fn is_blocked(reason: &Reason) -> bool {
+    match reason {
+        Reason::NoneFeasible { counts, .. } => counts.contains_key("occupied"),
+        Reason::LeftOut { same_object, .. } => !same_object,
+        Reason::Best | Reason::BestTogether { .. } | Reason::NoGrasps => false,
     }
 }

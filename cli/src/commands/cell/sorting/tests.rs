@@ -89,6 +89,7 @@ async fn cell_at(config: &SortConfig, address: SocketAddr) -> (SortCell, world::
         arms: devices.arms.clone(),
         planner: Arc::new(PlannerClient::new(&format!("http://{address}"))),
         recognizer: Some(devices.recognizer.clone()),
+        clock: Arc::new(world::WorldClock(devices.shared.clone())),
         witness: Some(devices.witness.clone()),
     };
     (cell, devices)
@@ -237,6 +238,7 @@ async fn what_is_wrong_is_named() {
                     arms: devices.arms.clone(),
                     planner: Arc::new(PlannerClient::new(&format!("http://{address}"))),
                     recognizer: None,
+                    clock: Arc::new(graspd_cell::sort::clock::WallClock::default()),
                     witness: None,
                 };
                 sort(&cell, &config, &mut When::new(None, Step::Lift, || {})).await.unwrap_err().to_string()
