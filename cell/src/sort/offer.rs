@@ -200,7 +200,7 @@ fn reach(
 }
 
 /// The bin into which this arm puts an object, or why it must not take it.
-fn bin_of<'c>(
+pub(super) fn bin_of<'c>(
     config: &'c SortConfig,
     arm: usize,
     object: &PoolObject,

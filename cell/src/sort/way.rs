@@ -165,9 +165,10 @@ pub fn sweep_with_tail(
             let beside =
                 [i.checked_sub(1), Some(i + 1)].into_iter().flatten().filter_map(|n| all.get(n)?.get(k));
             let step = beside.map(|n| (n.a - body.a).norm().max((n.b - body.b).norm())).fold(0.0, f64::max);
-            // Between two postures a body is within half of the way that its ends go, but for the arc that they make of it.
-            let slack = (step / 2.0).min(MOST_SLACK_M) + ARC_M;
-            out.push(Capsule { radius_m: body.radius_m + slack, ..*body });
+            // A ball of radius r that goes a straight way of 2 d is nowhere outside of balls of radius √(r² + d²) at both ends
+            // of it; so is each point of a body's axis, but for the arc that it makes.
+            let half = (step / 2.0).min(MOST_SLACK_M);
+            out.push(Capsule { radius_m: body.radius_m.hypot(half) + ARC_M, ..*body });
         }
     }
     Ok((out, begin, stretch))
@@ -236,9 +237,12 @@ mod tests {
             for s in 0..=10 {
                 let pose = pair[0].lerp_slerp(&pair[1], f64::from(s) / 10.0);
                 for share in [0.0, 0.3, 1.0] {
-                    let point = pose * Point3::from(share * hand.tool_point.coords);
-                    let ball = Capsule { a: point, b: point, radius_m: 0.05 };
-                    assert!(swept.iter().any(|c| c.distance(&ball) <= -0.1), "{point}");
+                    // Points of the surface all around.
+                    for out in [Vector3::x(), Vector3::y(), Vector3::z()].iter().flat_map(|v| [*v, -v]) {
+                        let point = pose * Point3::from(share * hand.tool_point.coords) + 0.05 * out;
+                        let ball = Capsule { a: point, b: point, radius_m: 0.0 };
+                        assert!(swept.iter().any(|c| c.distance(&ball) <= 0.0), "{point}");
+                    }
                 }
             }
         }

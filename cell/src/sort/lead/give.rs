@@ -5,11 +5,15 @@ use tokio::time::Instant;
 
 use super::Lead;
 use crate::run::{Chosen, seconds};
-use crate::sort::offer::{Look, Offer};
+use crate::sort::offer::{Look, Offer, bin_of};
 use crate::sort::record::{DecisionRecord, Given};
 use crate::sort::table::{Doing, SortEvent};
 use crate::sort::worker::Order;
 use crate::steps::Step;
+
+/// What is left of the score of a grasp that another arm can take as well, for an arm for which something waits that nobody
+/// else can take: it would be the last to be ready.
+const LEFT_TO_OTHERS: f64 = 0.6;
 
 impl Lead<'_> {
     /// Gives grasps to the arms that are free.
@@ -78,7 +82,15 @@ impl Lead<'_> {
                 };
                 let of = look.offers[arm].as_ref();
                 let places = of.map(waiting).unwrap_or_default();
-                let grasps = of.map(|o| places.iter().map(|&i| o.grasps[i].grasp.clone()).collect());
+                let needed = self.is_needed(look, arm);
+                let grasp = |o: &Offer, i: usize| {
+                    let mut grasp = o.grasps[i].grasp.clone();
+                    if needed && !self.is_only_taker(look, arm, o.grasps[i].object) {
+                        grasp.score *= LEFT_TO_OTHERS;
+                    }
+                    grasp
+                };
+                let grasps = of.map(|o| places.iter().map(|&i| grasp(o, i)).collect());
                 sides.push(places);
                 let [min, max] = self.config.arms[arm].opening_m;
                 Side {
@@ -92,6 +104,31 @@ impl Lead<'_> {
         let (began, limit) = (std::time::Instant::now(), seconds(self.config.sort.assign_s));
         let problem = Problem { arms: &arms, occupied: &occupied, taken: &[] };
         (assign(&problem, &settings, &mut || began.elapsed() > limit), sides)
+    }
+
+    /// True for an arm for which something waits that nobody else can take.
+    fn is_needed(&self, look: &Look, arm: usize) -> bool {
+        let offer = look.offers[arm].as_ref();
+        let of = |o: &Offer| {
+            o.grasps.iter().any(|g| {
+                g.grasp.barred.is_none()
+                    && look.objects[g.object].waits
+                    && self.is_only_taker(look, arm, g.object)
+            })
+        };
+        offer.is_some_and(of)
+    }
+
+    /// True where rules and sizes leave an object to this arm alone, of those that are of use.
+    fn is_only_taker(&self, look: &Look, arm: usize, object: usize) -> bool {
+        let others = (0..self.arms.len()).filter(|&other| other != arm);
+        let object = &look.objects[object];
+        let takes = |other: usize| {
+            let is_out = matches!(self.arms[other].doing, Doing::Out { .. });
+            let fits = object.seen.width_m < self.config.arms[other].opening_m[1];
+            !is_out && fits && bin_of(self.config, other, object).is_ok()
+        };
+        !others.into_iter().any(takes)
     }
 
     /// Reserves the space of a grasp and sends the arm.

@@ -301,10 +301,12 @@ impl Lead<'_> {
         self.arms.iter().any(|a| matches!(a.doing, Doing::Homing | Doing::Picking { .. }))
     }
 
-    /// True where another look, past the arms that are at work, would show what is not known, and somebody is or will soon be
-    /// there to take it. An empty tray is looked at again when all are at home, for what they may have lost on the way.
+    /// True where another look would show what is not known, and somebody is or will soon be there to take it. The first is
+    /// for all arms together. An empty tray is looked at again when all are at home, for what they may have lost on the way.
     fn is_worth_a_look(&self) -> bool {
-        self.is_stale && self.empty_looks == 0 && self.arms.iter().any(ArmState::is_coming)
+        let is_clear = self.arms.iter().all(|a| !a.is_over_tray);
+        let may_look = is_clear || (self.config.sort.look_past_arms && self.looks > 0);
+        self.is_stale && may_look && self.empty_looks == 0 && self.arms.iter().any(ArmState::is_coming)
     }
 
     /// Counts what the arms have done since the last time, to be asked before they do something else.

@@ -9,7 +9,7 @@ const POSTURES: u32 = 2000;
 /// Added to everything: for postures between those, and for how far spheres are within the surface, metres.
 const MARGIN_M: f64 = 0.004;
 /// Capsules for a hand.
-const CAPSULES: usize = 6;
+const CAPSULES: usize = 8;
 /// Rounds in which spheres find the group whose middle is nearest.
 const ROUNDS: usize = 20;
 
