@@ -67,7 +67,7 @@ pub struct SharingConfig {
     pub assign_s: f64,
     /// Smallest height above the floor that is an object, metres.
     pub object_height_m: f64,
-    /// Look also while arms are over the tray, past them; else only when none is.
+    /// Look also while arms are over the tray, past them; else only when none is, and for all that are free then together.
     pub look_past_arms: bool,
 }
 
@@ -80,7 +80,7 @@ impl Default for SharingConfig {
             disturbed_m: 0.02,
             assign_s: 0.05,
             object_height_m: 0.012,
-            look_past_arms: true,
+            look_past_arms: false,
         }
     }
 }

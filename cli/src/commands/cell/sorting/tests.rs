@@ -108,7 +108,8 @@ const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr:
 
 #[tokio::test(flavor = "multi_thread")]
 async fn three_arms_sort_a_tray_at_the_same_time_and_do_not_meet() {
-    let config = config(6);
+    let mut config = config(6);
+    config.sort.look_past_arms = true;
     let (address, _server) = serve(ANY).await;
     let (cell, _devices) = cell_at(&config, address).await;
     let mut watch = When::new(None, Step::Lift, || {});
