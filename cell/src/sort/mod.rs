@@ -1,8 +1,9 @@
 //! Several arms sort one tray (Supplementary Note 7, Task 3).
 //!
-//! One camera looks while no arm is over the tray, or past those that are; the planner answers for every hand that is free from that one frame; [`graspd_assign`]
-//! gives grasps to the arms that are free, and again whenever one is; each arm picks with the steps and the recoveries of a
-//! run of its own, at the same time as the others. When the tray has changed, the camera looks again.
+//! One camera looks while no arm is over the tray, or past those that are; the planner answers for every hand that is free
+//! from that one frame; [`graspd_assign`] gives grasps to the arms that are free, and again whenever one is; each arm picks with
+//! the steps and the recoveries of a run of its own, at the same time as the others. When the tray has changed, the camera
+//! looks again.
 //!
 //! | module | concept |
 //! |---|---|
