@@ -1,8 +1,11 @@
 //! What each grasp is worth, and why some cannot be taken whatever the others do.
 
-use crate::problem::{Arm, Grasp, Problem, Reach, Settings};
+use std::sync::Arc;
+
+use crate::problem::{Arm, Grasp, KeepOut, Problem, Reach, Settings};
 use crate::reason::{Cause, Rejected};
-use crate::volume::{Bounds, Capsule, corridor, in_conflict};
+use crate::swept::Swept;
+use crate::volume::corridor;
 
 /// What a grasp's value is made of, each 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,8 +49,7 @@ pub(crate) struct Candidate {
     pub(crate) grasp: usize,
     pub(crate) factors: Factors,
     pub(crate) value: f64,
-    pub(crate) corridor: Vec<Capsule>,
-    pub(crate) bounds: Bounds,
+    pub(crate) corridor: Arc<Swept>,
 }
 
 /// All grasps, looked at each by itself.
@@ -77,13 +79,12 @@ impl Judged<'_> {
 
     pub(crate) fn corridors_conflict(&self, a: usize, b: usize) -> bool {
         let (a, b) = (&self.candidates[a], &self.candidates[b]);
-        in_conflict((&a.corridor, &a.bounds), (&b.corridor, &b.bounds), self.settings.clearance_m)
+        a.corridor.is_near(&b.corridor, self.settings.clearance_m)
     }
 }
 
 /// Looks at every grasp.
 pub(crate) fn judge<'a>(problem: &'a Problem<'a>, settings: &'a Settings) -> Judged<'a> {
-    let occupied: Vec<Bounds> = problem.occupied.iter().map(|o| Bounds::of(&o.capsules)).collect();
     let mut judged = Judged {
         problem,
         settings,
@@ -95,15 +96,10 @@ pub(crate) fn judge<'a>(problem: &'a Problem<'a>, settings: &'a Settings) -> Jud
     for (at, arm) in problem.arms.iter().enumerate() {
         let (mut good, mut rejected) = (Vec::new(), Vec::new());
         for (index, grasp) in arm.grasps.iter().enumerate() {
-            match look(problem, arm, grasp, settings, &occupied) {
-                Ok((factors, corridor)) => good.push(Candidate {
-                    arm: at,
-                    grasp: index,
-                    factors,
-                    value: factors.value(),
-                    bounds: Bounds::of(&corridor),
-                    corridor,
-                }),
+            match look(problem, arm, grasp, settings) {
+                Ok((factors, corridor)) => {
+                    good.push(Candidate { arm: at, grasp: index, factors, value: factors.value(), corridor })
+                }
                 Err(cause) => rejected.push(Rejected { grasp: index, cause }),
             }
         }
@@ -124,8 +120,7 @@ fn look(
     arm: &Arm,
     grasp: &Grasp,
     settings: &Settings,
-    occupied: &[Bounds],
-) -> Result<(Factors, Vec<Capsule>), Cause> {
+) -> Result<(Factors, Arc<Swept>), Cause> {
     if let Some(why) = &grasp.barred {
         return Err(Cause::Barred(why.clone()));
     }
@@ -155,20 +150,19 @@ fn look(
     if value.is_nan() || value < settings.least_value {
         return Err(Cause::Worthless { value });
     }
-    let made = || corridor(&grasp.world_from_pregrasp, &grasp.world_from_hand, &arm.body);
+    let made =
+        || Arc::new(Swept::new(corridor(&grasp.world_from_pregrasp, &grasp.world_from_hand, &arm.body)));
     let corridor = grasp.corridor.clone().unwrap_or_else(made);
     // What cannot be compared cannot be shown to be free.
-    if !corridor.iter().all(Capsule::is_valid) {
+    if !corridor.is_valid() {
         return Err(Cause::OutOfReach("its corridor is no volume".to_owned()));
     }
-    if let Some(keep) = arm.keep_out.iter().find(|k| k.volume.is_near(&corridor, settings.clearance_m)) {
+    let in_keep_out = |k: &&KeepOut| k.volume.is_near(corridor.capsules(), settings.clearance_m);
+    if let Some(keep) = arm.keep_out.iter().find(in_keep_out) {
         return Err(Cause::KeepOut { name: keep.name.clone() });
     }
-    let bounds = Bounds::of(&corridor);
-    let met = problem.occupied.iter().zip(occupied).find(|(other, around)| {
-        in_conflict((&corridor, &bounds), (&other.capsules, around), settings.clearance_m)
-    });
-    if let Some((other, _)) = met {
+    let met = problem.occupied.iter().find(|other| corridor.is_near(&other.space, settings.clearance_m));
+    if let Some(other) = met {
         return Err(Cause::Occupied { by: other.by.clone() });
     }
     Ok((factors, corridor))

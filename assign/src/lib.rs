@@ -38,6 +38,7 @@ mod judge;
 mod problem;
 mod reason;
 mod search;
+mod swept;
 mod volume;
 
 pub use judge::{Factors, size_suitability};
@@ -45,6 +46,7 @@ pub use problem::{
     Arm, Body, Grasp, KeepOut, ObjectKey, Occupied, Problem, Reach, ReachRegion, Settings, Taken,
 };
 pub use reason::{Assignment, Cause, Chosen, Decision, Reason, Rejected};
+pub use swept::Swept;
 pub use volume::{Capsule, OrientedBox, corridor};
 
 /// Gives grasps to arms. `stop` is asked now and then whether the search shall end: for a time budget, which this crate

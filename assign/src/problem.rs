@@ -1,8 +1,11 @@
 //! What is asked: arms with their grasps, what is occupied, and how the search behaves.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::volume::{Capsule, OrientedBox};
+use crate::swept::Swept;
+use crate::volume::OrientedBox;
 
 /// Which object a grasp takes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,7 +57,7 @@ pub struct Grasp {
     /// Why this arm must not take it (a rule of the task), if so.
     pub barred: Option<String>,
     /// The space that the approach sweeps, from the arm's own kinematics; `None`: [`crate::corridor`] of [`Arm::body`].
-    pub corridor: Option<Vec<Capsule>>,
+    pub corridor: Option<Arc<Swept>>,
 }
 
 /// Where an arm reaches, for arms whose kinematics nobody has asked.
@@ -148,7 +151,7 @@ pub struct Occupied {
     /// Who.
     pub by: String,
     /// Where.
-    pub capsules: Vec<Capsule>,
+    pub space: Arc<Swept>,
 }
 
 /// An object that somebody has already.

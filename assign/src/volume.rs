@@ -75,36 +75,6 @@ impl OrientedBox {
     }
 }
 
-/// An axis-aligned box around capsules, to tell soon that two sets are apart.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Bounds {
-    low: Vector3<f64>,
-    high: Vector3<f64>,
-}
-
-impl Bounds {
-    pub(crate) fn of(capsules: &[Capsule]) -> Self {
-        let mut bounds =
-            Self { low: Vector3::repeat(f64::INFINITY), high: Vector3::repeat(f64::NEG_INFINITY) };
-        for capsule in capsules {
-            for end in [&capsule.a.coords, &capsule.b.coords] {
-                bounds.low = bounds.low.inf(&end.add_scalar(-capsule.radius_m));
-                bounds.high = bounds.high.sup(&end.add_scalar(capsule.radius_m));
-            }
-        }
-        bounds
-    }
-
-    fn apart(&self, other: &Self, clearance_m: f64) -> bool {
-        (0..3).any(|i| self.low[i] > other.high[i] + clearance_m || other.low[i] > self.high[i] + clearance_m)
-    }
-}
-
-/// True when less than `clearance_m` is left between two sets of capsules.
-pub(crate) fn in_conflict(a: (&[Capsule], &Bounds), b: (&[Capsule], &Bounds), clearance_m: f64) -> bool {
-    !a.1.apart(b.1, clearance_m) && a.0.iter().any(|x| b.0.iter().any(|y| x.distance(y) < clearance_m))
-}
-
 /// Poses along the straight approach at which the forearm is looked at.
 const FOREARM_POSES: usize = 3;
 

@@ -194,7 +194,11 @@ fn every_decision_says_why() {
     assert_eq!(told[6], "idle: no grasp was planned for its hand");
     let occupied = [Occupied {
         by: "fourth".to_owned(),
-        capsules: vec![Capsule { a: Point3::origin(), b: Point3::new(0.0, 0.0, 0.3), radius_m: 0.5 }],
+        space: std::sync::Arc::new(Swept::new(vec![Capsule {
+            a: Point3::origin(),
+            b: Point3::new(0.0, 0.0, 0.3),
+            radius_m: 0.5,
+        }])),
     }];
     let told = reasons(&Problem { arms: &arms[..1], occupied: &occupied, taken: &[] });
     assert!(told[0].contains("fourth is in the way"), "{}", told[0]);

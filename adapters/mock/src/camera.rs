@@ -17,7 +17,7 @@ use crate::clock::duration;
 use crate::fault_handle::{Fate, FaultHandle};
 use crate::faults::Faults;
 use crate::link::{Call, Link};
-use crate::shared::{Reply, SharedWorld, positive};
+use crate::shared::{Hold, Reply, SharedWorld, positive};
 use crate::stage::Process;
 
 /// Most exposures per second: more than there are steps of the world, and few enough to be counted for ever.
@@ -124,6 +124,10 @@ impl MockCamera {
             let (mount, lens) = (self.mount, self.sensor.lens);
             let (rate_hz, faults) = (self.settings.frame_rate_hz, self.link.faults.clone());
             let call = call.clone();
+            // How long the noise takes to be computed is the machine's affair: on demand, arms that are at work stand as
+            // they were seen until the frame is there. Who follows a frame from the hand itself paces the world by that.
+            let stands = !self.link.shared.is_paced() && matches!(mount, Mount::Fixed { .. });
+            let holder = stands.then(|| self.link.shared.holder());
             move |stage, reply| {
                 let next = (stage.world.time_s() * rate_hz + 1e-9).floor() as u64 + 1;
                 let look = Box::new(move |world: &World| {
@@ -131,6 +135,7 @@ impl MockCamera {
                 });
                 stage.start(Watch {
                     reply: Some(reply),
+                    holder: holder.map(|h| Box::new(h) as Box<dyn Fn() -> Hold + Send>),
                     call,
                     max_age_s,
                     rate_hz,
@@ -142,7 +147,7 @@ impl MockCamera {
                 });
             }
         });
-        let exposure = exposure.await.map_err(|_| self.link.ended())??;
+        let (exposure, _still) = exposure.await.map_err(|_| self.link.ended())??;
         let sensor = self.sensor.clone();
         let seed = self.link.faults.noise_seed(exposure.sequence);
         let lens = exposure.view.lens;
@@ -213,7 +218,9 @@ type Look = Box<dyn Fn(&World) -> Option<View> + Send>;
 
 /// Waits for the next exposure and its delivery.
 struct Watch {
-    reply: Option<Reply<Exposure>>,
+    reply: Option<Reply<(Exposure, Option<Hold>)>>,
+    /// Stops the clock.
+    holder: Option<Box<dyn Fn() -> Hold + Send>>,
     call: Call,
     max_age_s: f64,
     rate_hz: f64,
@@ -283,7 +290,9 @@ impl Process for Watch {
         }
         let Some(answer) = self.look(world) else { return false };
         if let Some(reply) = self.reply.take() {
-            let _unheard = reply.send(answer);
+            let still = self.holder.as_ref().filter(|_| answer.is_ok()).map(|hold| hold());
+            // Where nobody hears of it, the hold is dropped and ends.
+            let _unheard = reply.send(answer.map(|exposure| (exposure, still)));
         }
         true
     }

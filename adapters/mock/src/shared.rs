@@ -202,6 +202,20 @@ impl SharedWorld {
         hold_after(&self.clock, &self.jobs, seconds).await.map_err(|_| WorldEnded)
     }
 
+    /// Stops the clock at once, between two steps, until the answer is dropped.
+    pub fn hold(&self) -> Hold {
+        self.holder()()
+    }
+
+    /// What stops the clock at once, for somebody on the world's own thread: it does not keep the world alive.
+    pub(crate) fn holder(&self) -> impl Fn() -> Hold + Send + use<> {
+        let (clock, jobs) = (self.clock.clone(), Arc::downgrade(&self.jobs));
+        move || {
+            clock.hold();
+            Hold { clock: clock.clone(), jobs: jobs.clone() }
+        }
+    }
+
     pub(crate) async fn wait_until(&self, until_s: f64) -> Result<(), WorldEnded> {
         if self.time_s() >= until_s {
             return Ok(());
@@ -271,7 +285,7 @@ impl SharedWorld {
     }
 
     /// True for a world that moves all the time, at its speed.
-    pub(crate) fn is_paced(&self) -> bool {
+    pub fn is_paced(&self) -> bool {
         matches!(self.pace, Pace::Wall(_))
     }
 

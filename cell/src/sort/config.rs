@@ -67,6 +67,8 @@ pub struct SharingConfig {
     pub assign_s: f64,
     /// Smallest height above the floor that is an object, metres.
     pub object_height_m: f64,
+    /// Look also while arms are over the tray, past them; else only when none is, and for all that are free then together.
+    pub look_past_arms: bool,
 }
 
 impl Default for SharingConfig {
@@ -78,6 +80,7 @@ impl Default for SharingConfig {
             disturbed_m: 0.02,
             assign_s: 0.05,
             object_height_m: 0.012,
+            look_past_arms: false,
         }
     }
 }
@@ -101,9 +104,10 @@ pub struct ArmStation {
     /// Rotation of the hand about the vertical at home and over bins, radians.
     #[serde(default)]
     pub yaw_rad: f64,
-    /// The hand and its mount are within this of the line from flange to tool point, metres.
-    #[serde(default = "hand_radius")]
-    pub hand_radius_m: f64,
+    /// The hand and its mount are within this of the line from flange to tool point, metres; left out: the space that the
+    /// hand's own description takes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hand_radius_m: Option<f64>,
     /// Names of the bins that it delivers to; nobody else does.
     pub bins: Vec<String>,
     /// Kinematics by which reach and the space that the arm takes are known, for example `ur5e`.
@@ -113,10 +117,6 @@ pub struct ArmStation {
     /// Pose of the arm's base: rotation about the vertical, radians.
     #[serde(default)]
     pub base_yaw_rad: f64,
-}
-
-fn hand_radius() -> f64 {
-    0.07
 }
 
 /// `[[bins]]`: where a hand lets go.
@@ -239,8 +239,8 @@ impl SortConfig {
                 let expected = "two widths in metres, the second larger, at most 1";
                 return Err(wrong(at("opening_m"), format!("{:?}", arm.opening_m), expected));
             }
-            if !(arm.hand_radius_m > 0.0 && arm.hand_radius_m <= 1.0) {
-                return Err(wrong(at("hand_radius_m"), arm.hand_radius_m, "more than 0, at most 1"));
+            if let Some(radius) = arm.hand_radius_m.filter(|r| !(*r > 0.0 && *r <= 1.0)) {
+                return Err(wrong(at("hand_radius_m"), radius, "more than 0, at most 1"));
             }
             let numbers = arm.base_m.iter().chain(&arm.home_m).chain([&arm.yaw_rad, &arm.base_yaw_rad]);
             if let Some(bad) = numbers.into_iter().find(|v| !(v.is_finite() && v.abs() <= 100.0)) {

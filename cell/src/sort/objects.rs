@@ -1,7 +1,8 @@
 //! What lies in the tray, from a depth frame: connected heaps of what stands above the floor, with their sizes.
 
-use nalgebra::{Matrix2, Point3, SymmetricEigen, Vector2};
+use nalgebra::{Matrix2, Point3, SymmetricEigen, Vector2, Vector3};
 
+use super::shadow::Shadow;
 use crate::config::TrayConfig;
 use crate::frame::Frame;
 
@@ -9,6 +10,8 @@ use crate::frame::Frame;
 const CELL_M: f64 = 0.004;
 /// Heaps of less than so many cells are noise.
 const LEAST_CELLS: usize = 12;
+/// A heap so many cells from what is hidden may go on in it.
+const CUT_CELLS: usize = 3;
 /// Cells whose heights differ by more than this are not neighbours: something stands behind something, metres.
 const STEP_M: f64 = 0.02;
 
@@ -23,6 +26,8 @@ pub struct Seen {
     pub length_m: f64,
     /// Of its top above the floor, metres.
     pub height_m: f64,
+    /// It lies at the edge of what an arm hides: there may be more of it.
+    pub is_cut: bool,
     /// Its cells, world x and y.
     cells: Vec<Vector2<f64>>,
 }
@@ -40,8 +45,8 @@ impl Seen {
     }
 }
 
-/// The heaps in the tray, from the left to the right.
-pub fn see(frame: &Frame, tray: &TrayConfig, least_height_m: f64) -> Vec<Seen> {
+/// The heaps in the tray, from the left to the right; `shadow` is what was taken out of the frame.
+pub fn see(frame: &Frame, shadow: &Shadow, tray: &TrayConfig, least_height_m: f64) -> Vec<Seen> {
     let Ok(world_from_camera) = frame.world_from_camera() else { return Vec::new() };
     let region = tray.region();
     let (box_pose, half) = (region.pose.isometry(), region.half_extents_m);
@@ -63,6 +68,8 @@ pub fn see(frame: &Frame, tray: &TrayConfig, least_height_m: f64) -> Vec<Seen> {
         let at = cell[1] * size[0] + cell[0];
         heights[at] = heights[at].max(height);
     }
+    let local = |p: &Vector2<f64>| box_pose.inverse_transform_point(&Point3::new(p.x, p.y, 0.0));
+    let hidden = near_shadow(shadow.points.iter().map(|p| local(p) + Vector3::from(half)), size);
     let mut seen = heaps(&heights, size)
         .into_iter()
         .filter(|cells| cells.len() >= LEAST_CELLS)
@@ -73,11 +80,34 @@ pub fn see(frame: &Frame, tray: &TrayConfig, least_height_m: f64) -> Vec<Seen> {
                 let y = (c / size[0]) as f64 * CELL_M + CELL_M / 2.0 - half[1];
                 (box_pose * Point3::new(x, y, 0.0)).xy().coords
             };
-            heap(cells.iter().map(world).collect(), height_m, tray.floor_m())
+            let is_cut = cells.iter().any(|&cell| hidden[cell]);
+            Seen { is_cut, ..heap(cells.iter().map(world).collect(), height_m, tray.floor_m()) }
         })
         .collect::<Vec<Seen>>();
     seen.sort_by(|a, b| a.middle.x.total_cmp(&b.middle.x).then(a.middle.y.total_cmp(&b.middle.y)));
     seen
+}
+
+/// The cells that are hidden, or so near to it that what lies there may go on in it. Points are from the corner of the map.
+fn near_shadow(points: impl Iterator<Item = Point3<f64>>, size: [usize; 2]) -> Vec<bool> {
+    let wide = size.map(|n| n + 2 * CUT_CELLS);
+    let mut hidden = vec![false; wide[0] * wide[1]];
+    for point in points {
+        let cell = [0, 1].map(|i: usize| (point[i] / CELL_M).floor() + CUT_CELLS as f64);
+        if cell.iter().zip(wide).all(|(c, n)| *c >= 0.0 && *c < n as f64) {
+            hidden[cell[1] as usize * wide[0] + cell[0] as usize] = true;
+        }
+    }
+    // First along x, then along y: the same square around each cell.
+    let around = |n: usize| n..=n + 2 * CUT_CELLS;
+    let rows: Vec<bool> = (0..wide[1])
+        .flat_map(|y| (0..size[0]).map(move |x| (x, y)))
+        .map(|(x, y)| around(x).any(|x| hidden[y * wide[0] + x]))
+        .collect();
+    (0..size[1])
+        .flat_map(|y| (0..size[0]).map(move |x| (x, y)))
+        .map(|(x, y)| around(y).any(|y| rows[y * size[0] + x]))
+        .collect()
 }
 
 /// Connected cells, corners included.
@@ -121,7 +151,7 @@ fn heap(cells: Vec<Vector2<f64>>, height_m: f64, floor_m: f64) -> Seen {
     };
     let (a, b) = (extent(0), extent(1));
     let middle = Point3::new(mean.x, mean.y, floor_m + height_m / 2.0);
-    Seen { middle, width_m: a.min(b), length_m: a.max(b), height_m, cells }
+    Seen { middle, width_m: a.min(b), length_m: a.max(b), height_m, is_cut: false, cells }
 }
 
 #[cfg(test)]
@@ -165,7 +195,7 @@ mod tests {
     #[test]
     fn each_heap_has_its_place_and_its_size() {
         let boxes = [([-0.08, 0.05], [0.06, 0.03], 0.05), ([0.07, -0.02], [0.09, 0.12], 0.08)];
-        let seen = see(&frame(&boxes), &TrayConfig::default(), 0.012);
+        let seen = see(&frame(&boxes), &Shadow::default(), &TrayConfig::default(), 0.012);
         assert_eq!(seen.len(), 2, "{seen:?}");
         for (seen, (at, edges, height)) in seen.iter().zip(boxes) {
             assert!(
@@ -181,7 +211,19 @@ mod tests {
     }
 
     #[test]
+    fn a_heap_at_the_edge_of_what_is_hidden_is_cut() {
+        let boxes = [([-0.08, 0.05], [0.06, 0.03], 0.05), ([0.07, -0.02], [0.09, 0.12], 0.08)];
+        for (at, cut) in
+            [([-0.08, 0.073], [true, false]), ([-0.08, 0.09], [false, false]), ([0.0, 0.3], [false, false])]
+        {
+            let shadow = Shadow { points: vec![Vector2::from(at)] };
+            let seen = see(&frame(&boxes), &shadow, &TrayConfig::default(), 0.012);
+            assert_eq!([seen[0].is_cut, seen[1].is_cut], cut, "{at:?}");
+        }
+    }
+
+    #[test]
     fn an_empty_tray_has_no_heaps() {
-        assert_eq!(see(&frame(&[]), &TrayConfig::default(), 0.012), []);
+        assert_eq!(see(&frame(&[]), &Shadow::default(), &TrayConfig::default(), 0.012), []);
     }
 }

@@ -1,14 +1,16 @@
 //! The grasps of one look: each with its object, the object's size and rule, the arm's reach, and the space that it takes.
 
+use std::sync::Arc;
+
 use graspd_adapters_core::{Leg, Limits, Reach};
-use graspd_assign::{Capsule, Grasp, ObjectKey, Reach as Comfort};
+use graspd_assign::{Grasp, ObjectKey, Reach as Comfort, Swept};
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::config::{ArmStation, SortConfig};
 use super::lead::ArmCell;
 use super::objects::Seen;
 use super::space::Space;
-use super::way::{HandShape, comfort, from_lifted_on, sweep, sweep_with_tail, way_of};
+use super::way::{HandShape, Heights, comfort, from_lifted_on, sweep, sweep_with_tail, through, way_of};
 use crate::frame::Frame;
 use crate::plan::{Answer, HandFacts, PlannedGrasp, Question};
 use crate::pose::{pointing_down, raised_to};
@@ -38,9 +40,9 @@ pub(super) struct Offered {
     pub(super) object: usize,
     pub(super) bin: String,
     pub(super) drop: Isometry3<f64>,
-    pub(super) corridor: Vec<Capsule>,
-    /// Where in it the way with the lifted object begins.
-    pub(super) tail: usize,
+    /// The space of the whole way, and of the way with the lifted object.
+    pub(super) corridor: Arc<Swept>,
+    pub(super) tail: Arc<Swept>,
     pub(super) grasp: Grasp,
 }
 
@@ -69,15 +71,19 @@ pub(super) struct Station {
     pub(super) facts: HandFacts,
     pub(super) hand: HandShape,
     pub(super) home: Isometry3<f64>,
-    pub(super) travel_m: f64,
+    pub(super) heights: Heights,
 }
 
 impl Station {
-    pub(super) fn new(config: &SortConfig, arm: &ArmStation, facts: HandFacts) -> Self {
-        let hand = HandShape { tool_point: Point3::from(facts.tool_point), radius_m: arm.hand_radius_m };
+    pub(super) fn new(config: &SortConfig, arm: &ArmStation, cell: &ArmCell, facts: HandFacts) -> Self {
+        let tool_point = Point3::from(facts.tool_point);
+        let hand = match arm.hand_radius_m {
+            Some(radius_m) => HandShape::thick_line(tool_point, radius_m),
+            None => HandShape { tool_point, bodies: cell.hand_bodies.clone() },
+        };
         let home = place(&facts, &arm.home_m, arm.yaw_rad);
         let travel_m = config.tray.floor_m() + config.motion.travel_height_m;
-        Self { facts, hand, home, travel_m }
+        Self { facts, hand, home, heights: Heights { travel_m, lift_m: config.motion.lift_m } }
     }
 
     /// Where the hand lets go over a bin.
@@ -91,17 +97,17 @@ impl Station {
         cell: &ArmCell,
         config: &SortConfig,
         arm: &ArmStation,
-    ) -> Result<Vec<Capsule>, String> {
+    ) -> Result<Arc<Swept>, String> {
         let tool = self.hand.tool_point.coords;
-        let high = |pose: &Isometry3<f64>| raised_to(pose, &tool, self.travel_m);
+        let high = |pose: &Isometry3<f64>| raised_to(pose, &tool, self.heights.travel_m);
         let mut out = Vec::new();
         for bin in arm.bins.iter().filter_map(|name| config.bin(name)) {
             let drop = self.drop(&bin.position_m, arm.yaw_rad);
-            let way = [self.home, high(&self.home), self.home.lerp_slerp(&drop, 0.5), high(&drop), drop];
+            let way = through(&[self.home, high(&self.home), high(&drop), drop]);
             let at = |why| format!("from home to bin {}: {why}", bin.name);
             out.extend(sweep(&*cell.shape, &self.hand, &way).map_err(at)?.0);
         }
-        Ok(out)
+        Ok(Arc::new(Swept::new(out)))
     }
 }
 
@@ -134,20 +140,20 @@ pub(super) fn offer(
             barred: None,
             corridor: None,
         };
-        let (mut bin, mut drop, mut corridor) = (String::new(), station.home, Vec::new());
-        let mut tail = 0;
+        let (mut bin, mut drop) = (String::new(), station.home);
+        let (mut corridor, mut tail) = (Arc::default(), Arc::default());
         match bin_of(config, arm, &objects[object]) {
             Err(why) => grasp.barred = Some(why),
             Ok(found) => {
                 bin.clone_from(&found.name);
                 drop = station.drop(&found.position_m, config.arms[arm].yaw_rad);
-                let way = way_of(planned, &station.hand, &station.home, &drop, station.travel_m);
-                let lifted = from_lifted_on(planned, &station.hand, &drop, station.travel_m);
+                let way = way_of(planned, &station.hand, &station.home, &drop, &station.heights);
+                let lifted = from_lifted_on(planned, &station.hand, &drop, &station.heights);
                 match sweep_with_tail(&*cell.shape, &station.hand, &way, lifted) {
                     Err(why) => grasp.reach = Comfort::Beyond(why),
                     Ok((swept, begin, stretch)) => {
-                        tail = begin;
-                        corridor = swept;
+                        tail = Arc::new(Swept::new(swept[begin..].to_vec()));
+                        corridor = Arc::new(Swept::new(swept));
                         grasp.reach = reach(config, arm, cell, station, planned, stretch);
                         if let Some(other) = space.ground_in_way(arm, &corridor) {
                             grasp.barred = Some(format!("{} stands in the way", config.arms[other].name));
@@ -175,7 +181,7 @@ fn reach(
     stretch: f64,
 ) -> Comfort {
     let pregrasp = planned.world_from_pregrasp.isometry();
-    let above = raised_to(&pregrasp, &station.facts.tool_point, station.travel_m);
+    let above = raised_to(&pregrasp, &station.facts.tool_point, station.heights.travel_m);
     let settings = &config.arms[arm].arm;
     let leg = |world_from_flange, straight, speed_m_s| Leg {
         world_from_flange,
@@ -194,7 +200,7 @@ fn reach(
 }
 
 /// The bin into which this arm puts an object, or why it must not take it.
-fn bin_of<'c>(
+pub(super) fn bin_of<'c>(
     config: &'c SortConfig,
     arm: usize,
     object: &PoolObject,

@@ -6,6 +6,7 @@ use std::fmt;
 use async_trait::async_trait;
 use serde::{Deserialize, Serialize};
 
+use super::shares::Shares;
 use crate::outcome::End;
 use crate::report::Report;
 
@@ -74,6 +75,9 @@ pub struct ArmReport {
     pub lost: u32,
     /// See [`ArmReport::lost`].
     pub came_back: u32,
+    /// Where its time went; reports of older runs do not say.
+    #[serde(default)]
+    pub time: Shares,
 }
 
 /// How a sorting run ended.
@@ -88,6 +92,12 @@ pub struct SortReport {
     pub looks: u32,
     /// Assignments made.
     pub assignments: u32,
+    /// Of the looks, those past arms that were over the tray.
+    #[serde(default)]
+    pub looks_past_arms: u32,
+    /// Seconds with none, one, two, ... arms over the tray, on the clock of the devices.
+    #[serde(default)]
+    pub over_tray_s: Vec<f64>,
     /// Times that two or more arms were picking at the begin of a pick.
     pub together: u32,
     /// Planning time of each look, for all hands, as waited for, seconds.
@@ -125,12 +135,12 @@ impl fmt::Display for SortReport {
             } else {
                 String::new()
             };
-            writeln!(f, "{:<15} {} of {} grasps{lost}", arm.arm, t.successes, t.trials)?;
+            writeln!(f, "{:<15} {} of {} grasps{lost}; {}", arm.arm, t.successes, t.trials, arm.time)?;
         }
         writeln!(
             f,
-            "looks           {}, {} picks began while another arm picked",
-            self.looks, self.together
+            "looks           {}, {} of them past arms at work; {} picks began while another arm picked",
+            self.looks, self.looks_past_arms, self.together
         )?;
         if let Some(truth) = &self.truth {
             for (bin, names) in &truth.delivered {

@@ -3,16 +3,17 @@
 //! A lease is granted where no other is in conflict. It expires when its arm shows no life in time; expired it is not
 //! given away: the arm may stand in it. It is *doubtful* until somebody knows that the arm has left.
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use graspd_assign::{Capsule, Occupied};
+use graspd_assign::{Capsule, Occupied, Swept};
 use tokio::time::Instant;
 
 /// What an arm holds.
 #[derive(Debug, Clone)]
 pub struct Lease {
     holder: usize,
-    capsules: Vec<Capsule>,
+    space: Arc<Swept>,
     until: Instant,
     doubtful: bool,
 }
@@ -31,12 +32,8 @@ pub struct Space {
     clearance_m: f64,
     length: Duration,
     /// Where each arm stands when it is at home or over its bins: always its own.
-    ground: Vec<Vec<Capsule>>,
+    ground: Vec<Arc<Swept>>,
     leases: Vec<Lease>,
-}
-
-fn meet(a: &[Capsule], b: &[Capsule], clearance_m: f64) -> bool {
-    a.iter().any(|x| b.iter().any(|y| x.distance(y) < clearance_m))
 }
 
 impl Space {
@@ -44,14 +41,10 @@ impl Space {
     ///
     /// # Errors
     /// The two arms whose grounds are in conflict.
-    pub fn new(
-        ground: Vec<Vec<Capsule>>,
-        clearance_m: f64,
-        length: Duration,
-    ) -> Result<Self, (usize, usize)> {
+    pub fn new(ground: Vec<Arc<Swept>>, clearance_m: f64, length: Duration) -> Result<Self, (usize, usize)> {
         for a in 0..ground.len() {
             for b in 0..a {
-                if meet(&ground[a], &ground[b], clearance_m) {
+                if ground[a].is_near(&ground[b], clearance_m) {
                     return Err((b, a));
                 }
             }
@@ -63,17 +56,17 @@ impl Space {
     ///
     /// # Errors
     /// [`InConflict`].
-    pub fn reserve(&mut self, holder: usize, capsules: Vec<Capsule>, now: Instant) -> Result<(), InConflict> {
+    pub fn reserve(&mut self, holder: usize, space: Arc<Swept>, now: Instant) -> Result<(), InConflict> {
         let lease = self.leases.iter().filter(|l| l.holder != holder);
         let grounds = self.ground.iter().enumerate().filter(|(arm, _)| *arm != holder);
-        let all = lease.map(|l| (l.holder, &l.capsules)).chain(grounds);
+        let all = lease.map(|l| (l.holder, &l.space)).chain(grounds);
         for (other, theirs) in all {
-            if meet(&capsules, theirs, self.clearance_m) {
+            if space.is_near(theirs, self.clearance_m) {
                 return Err(InConflict { holder: other });
             }
         }
         self.release(holder);
-        self.leases.push(Lease { holder, capsules, until: now + self.length, doubtful: false });
+        self.leases.push(Lease { holder, space, until: now + self.length, doubtful: false });
         Ok(())
     }
 
@@ -111,6 +104,12 @@ impl Space {
         self.leases.iter().any(|l| l.holder == holder)
     }
 
+    /// The space that an arm holds besides its ground.
+    pub fn held(&self, holder: usize) -> Vec<Capsule> {
+        let leases = self.leases.iter().filter(|l| l.holder == holder);
+        leases.flat_map(|l| l.space.capsules().iter().copied()).collect()
+    }
+
     /// When the next lease expires.
     pub fn next_expiry(&self) -> Option<Instant> {
         self.leases.iter().filter(|l| !l.doubtful).map(|l| l.until).min()
@@ -119,16 +118,16 @@ impl Space {
     /// What is in the way of an arm that is free: leases and grounds of others.
     pub fn occupied(&self, names: &[String], free: &[usize]) -> Vec<Occupied> {
         let name = |arm: usize| names.get(arm).cloned().unwrap_or_default();
-        let leases = self.leases.iter().map(|l| (l.holder, &l.capsules));
+        let leases = self.leases.iter().map(|l| (l.holder, &l.space));
         // The ground of a free arm is in the way of the other free arms: each is judged against it by itself.
         let grounds = self.ground.iter().enumerate().filter(|(arm, _)| !free.contains(arm));
-        leases.chain(grounds).map(|(arm, c)| Occupied { by: name(arm), capsules: c.clone() }).collect()
+        leases.chain(grounds).map(|(arm, c)| Occupied { by: name(arm), space: c.clone() }).collect()
     }
 
     /// Who stands in the way of this corridor at home: another arm's ground.
-    pub fn ground_in_way(&self, holder: usize, capsules: &[Capsule]) -> Option<usize> {
+    pub fn ground_in_way(&self, holder: usize, space: &Swept) -> Option<usize> {
         let others = self.ground.iter().enumerate().filter(|(arm, _)| *arm != holder);
-        others.into_iter().find(|(_, g)| meet(capsules, g, self.clearance_m)).map(|(arm, _)| arm)
+        others.into_iter().find(|(_, g)| space.is_near(g, self.clearance_m)).map(|(arm, _)| arm)
     }
 }
 
@@ -138,8 +137,9 @@ mod tests {
     use nalgebra::Point3;
     use proptest::prelude::*;
 
-    fn ball(x: f64, radius_m: f64) -> Vec<Capsule> {
-        vec![Capsule { a: Point3::new(x, 0.0, 0.0), b: Point3::new(x, 0.0, 0.0), radius_m }]
+    fn ball(x: f64, radius_m: f64) -> Arc<Swept> {
+        let at = Point3::new(x, 0.0, 0.0);
+        Arc::new(Swept::new(vec![Capsule { a: at, b: at, radius_m }]))
     }
 
     #[test]
@@ -181,7 +181,7 @@ mod tests {
                 if leave { space.release(arm) } else { let _refused = space.reserve(arm, ball(x, radius), now); }
                 for a in &space.leases {
                     for b in space.leases.iter().filter(|b| b.holder != a.holder) {
-                        prop_assert!(!meet(&a.capsules, &b.capsules, 0.01));
+                        prop_assert!(!a.space.is_near(&b.space, 0.01));
                     }
                 }
             }

@@ -69,6 +69,7 @@ impl Lead<'_> {
                     duration_s: self.began.elapsed().as_secs_f64(),
                     record_trouble: None,
                 }),
+                time: arm.time,
                 lost: arm.lost,
                 came_back: arm.came_back,
             })
@@ -77,6 +78,8 @@ impl Lead<'_> {
             end,
             arms,
             looks: self.looks,
+            looks_past_arms: self.looks_past_arms,
+            over_tray_s: std::mem::take(&mut self.over_tray_s),
             assignments: self.assignments,
             together: self.together,
             plan_s: std::mem::take(&mut self.plan_s),

@@ -57,6 +57,7 @@ impl Lead<'_> {
     }
 
     pub(super) fn on(&mut self, arm: usize, notice: Notice) {
+        self.count_time();
         self.space.renew(arm, Instant::now());
         match notice {
             Notice::Step(step) => {
@@ -66,14 +67,19 @@ impl Lead<'_> {
             }
             Notice::Lifted => {
                 // The rest of its way is part of what it holds: nobody can be there.
-                let tail = std::mem::take(&mut self.arms[arm].tail);
-                if !tail.is_empty() && self.space.reserve(arm, tail, Instant::now()).is_ok() {
+                if let Some(tail) = self.arms[arm].tail.take()
+                    && self.space.reserve(arm, tail, Instant::now()).is_ok()
+                {
                     self.changed = true;
                 }
+                // What lay against it is as it will stay.
+                self.is_stale = true;
+                let taken = self.arms[arm].taking.take();
+                self.arms[arm].carries_m = taken.map_or(0.0, |t| t.width_m.hypot(t.length_m) / 2.0);
             }
             Notice::Left => {
                 self.space.release(arm);
-                self.arms[arm].is_over_tray = false;
+                self.leaves_tray(arm);
                 self.changed = true;
             }
             Notice::Trouble(text) => self.trouble(Some(arm), &text),
@@ -84,8 +90,10 @@ impl Lead<'_> {
             }
             Notice::Home => {
                 self.space.release(arm);
+                if self.arms[arm].is_over_tray {
+                    self.leaves_tray(arm);
+                }
                 let state = &mut self.arms[arm];
-                state.is_over_tray = false;
                 if state.tries > 0 {
                     state.came_back += 1;
                     state.tries = 0;
@@ -98,6 +106,13 @@ impl Lead<'_> {
             Notice::Lost { end, holding } => self.lost(arm, &end, holding),
             Notice::Ended(report) => self.arms[arm].report = Some(*report),
         }
+    }
+
+    /// It is not between camera and tray any more, and nothing there is its own.
+    fn leaves_tray(&mut self, arm: usize) {
+        let state = &mut self.arms[arm];
+        (state.is_over_tray, state.carries_m, state.taking) = (false, 0.0, None);
+        self.is_stale = true;
     }
 
     pub(super) fn picked(&mut self, arm: usize, outcome: &Outcome) {
@@ -122,13 +137,13 @@ impl Lead<'_> {
     /// stays closed.
     pub(super) fn lost(&mut self, arm: usize, end: &End, holding: Holding) {
         self.space.doubt(arm);
+        // It is not waited for: a look shows the tray around it.
+        self.leaves_tray(arm);
         let held = if holding == Holding::Nothing { "" } else { " (with something in its hand, perhaps)" };
         let why = format!("{end}{held}");
         self.trouble(Some(arm), &why);
         let state = &mut self.arms[arm];
         state.lost += u32::from(state.tries == 0);
-        // It is not waited for: a look shows the tray around it.
-        state.is_over_tray = false;
         state.tries += 1;
         let lasting = matches!(end, End::Failures { .. } | End::NoGrasp { .. } | End::Asked);
         if lasting || state.tries > self.config.recovery.tries {

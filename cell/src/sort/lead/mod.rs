@@ -9,15 +9,18 @@ mod parts;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use graspd_assign::Swept;
 use nalgebra::Isometry3;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use super::config::SortConfig;
+use super::objects::Seen;
 use super::offer::{Look, Station};
 use super::record::SortRecorder;
 use super::report::SortReport;
+use super::shares::Shares;
 use super::space::Space;
 use super::table::{Doing, SortObserver};
 use super::worker::{Notice, Order, Worker};
@@ -43,15 +46,27 @@ struct ArmState {
     /// The grasp that it takes.
     target: Option<Isometry3<f64>>,
     /// The space that it takes from where it has lifted on.
-    tail: Vec<graspd_assign::Capsule>,
+    tail: Option<Arc<Swept>>,
     /// True while it may be between the camera and the tray.
     is_over_tray: bool,
+    /// What it is taking, as it lay there: until it has lifted it, nobody else takes that or what lies against it.
+    taking: Option<Seen>,
+    /// How far what it carries may reach from its tool point, metres; 0: it carries nothing.
+    carries_m: f64,
+    /// Idle because others are in the way.
+    blocked: bool,
+    /// Where its time went.
+    time: Shares,
 }
 
 impl ArmState {
-    /// True when it is at home, or comes there next.
+    /// True when it is at home, or comes there next without being over the tray any more.
     fn is_coming(&self) -> bool {
-        matches!(self.doing, Doing::Idle { .. } | Doing::Homing | Doing::Picking { .. })
+        match self.doing {
+            Doing::Idle { .. } => true,
+            Doing::Homing | Doing::Picking { .. } => !self.is_over_tray,
+            Doing::Lost { .. } | Doing::Out { .. } => false,
+        }
     }
 }
 
@@ -70,9 +85,13 @@ pub async fn sort(
 ) -> Result<SortReport, SortError> {
     config.check()?;
     let mut stations = Vec::with_capacity(config.arms.len());
-    for arm in &config.arms {
+    for (arm, parts) in config.arms.iter().zip(&cell.arms) {
         let facts = facts(&*cell.planner, &config.cell(arm), &mut Silent).await?;
-        stations.push(Station::new(config, arm, facts));
+        let station = Station::new(config, arm, parts, facts);
+        if station.hand.bodies.is_empty() {
+            return Err(SortError::Hand { arm: arm.name.clone() });
+        }
+        stations.push(station);
     }
     let mut grounds = Vec::with_capacity(stations.len());
     for ((station, arm), parts) in stations.iter().zip(&config.arms).zip(&cell.arms) {
@@ -116,9 +135,13 @@ pub async fn sort(
             tries: 0,
             report: None,
             target: None,
-            tail: Vec::new(),
+            tail: None,
             // Where it stands when the run begins nobody knows.
             is_over_tray: true,
+            taking: None,
+            carries_m: 0.0,
+            blocked: false,
+            time: Shares::default(),
         });
     }
     let lead = Lead {
@@ -147,6 +170,10 @@ pub async fn sort(
         plan_s: Vec::new(),
         assign_s: Vec::new(),
         changed: true,
+        is_stale: true,
+        looks_past_arms: 0,
+        over_tray_s: vec![0.0; config.arms.len() + 1],
+        counted_s: cell.clock.now_s(),
     };
     lead.run().await
 }
@@ -182,6 +209,12 @@ struct Lead<'a> {
     assign_s: Vec<f64>,
     /// Something has happened since the last assignment that may make another one possible.
     changed: bool,
+    /// Something has happened since the last look that another one would show.
+    is_stale: bool,
+    looks_past_arms: u32,
+    over_tray_s: Vec<f64>,
+    /// Until when time has been counted, on the clock of the devices.
+    counted_s: f64,
 }
 
 impl Lead<'_> {
@@ -201,6 +234,7 @@ impl Lead<'_> {
 
     /// One turn of the loop: gives what can be given, looks where nothing can, waits where somebody works.
     async fn turn(&mut self) -> Result<Option<End>, SortError> {
+        self.count_time();
         self.show();
         let ending = self.must_end();
         self.wake_lost();
@@ -267,11 +301,25 @@ impl Lead<'_> {
         self.arms.iter().any(|a| matches!(a.doing, Doing::Homing | Doing::Picking { .. }))
     }
 
-    /// True where another look would show what is not known, while arms deliver: they are out of the picture, and the tray is
-    /// not as it was seen. An empty tray is looked at again when all are at home, for what they may have lost on the way.
+    /// True where another look would show what is not known, and somebody is or will soon be there to take it. The first is
+    /// for all arms together. An empty tray is looked at again when all are at home, for what they may have lost on the way.
     fn is_worth_a_look(&self) -> bool {
-        let is_known = self.look.as_ref().is_some_and(|l| l.objects.iter().all(|o| o.waits));
-        !is_known && self.empty_looks == 0 && self.arms.iter().all(|a| !a.is_over_tray)
+        let is_clear = self.arms.iter().all(|a| !a.is_over_tray);
+        let may_look = is_clear || (self.config.sort.look_past_arms && self.looks > 0);
+        self.is_stale && may_look && self.empty_looks == 0 && self.arms.iter().any(ArmState::is_coming)
+    }
+
+    /// Counts what the arms have done since the last time, to be asked before they do something else.
+    fn count_time(&mut self) {
+        let now_s = self.cell.clock.now_s();
+        let seconds = now_s - std::mem::replace(&mut self.counted_s, now_s);
+        for arm in &mut self.arms {
+            arm.time.add(&arm.doing, arm.blocked, seconds);
+        }
+        let over = self.arms.iter().filter(|a| a.is_over_tray).count();
+        if let Some(sum) = self.over_tray_s.get_mut(over) {
+            *sum += seconds;
+        }
     }
 
     /// True while some arm is lost that may come back.

@@ -4,12 +4,14 @@ use std::sync::Arc;
 
 use async_trait::async_trait;
 use graspd_adapters_core::{Arm, DepthCamera, Hand};
+use graspd_assign::Capsule;
 use nalgebra::Point3;
 
 use crate::config::ConfigError;
 use crate::plan::{GraspPlanner, PlannerError};
 use crate::record::RecordError;
 use crate::run::CellError;
+use crate::sort::clock::Clock;
 use crate::sort::report::SortWitness;
 use crate::sort::way::ArmShape;
 
@@ -22,6 +24,9 @@ pub struct ArmCell {
     pub hand: Arc<dyn Hand>,
     /// The space that the arm takes.
     pub shape: Arc<dyn ArmShape>,
+    /// Bodies that hold all of the hand, however its fingers stand, hand frame. Not used for a hand whose `hand_radius_m` the
+    /// configuration says.
+    pub hand_bodies: Vec<Capsule>,
 }
 
 /// Tells classes of objects, where somebody does: a detector in another camera, a scale, a simulation.
@@ -42,6 +47,8 @@ pub struct SortCell {
     pub planner: Arc<dyn GraspPlanner>,
     /// Tells classes.
     pub recognizer: Option<Arc<dyn Recognizer>>,
+    /// The clock of the devices.
+    pub clock: Arc<dyn Clock>,
     /// Knows what became of objects, and who met whom.
     pub witness: Option<Arc<dyn SortWitness>>,
 }
@@ -59,6 +66,12 @@ pub enum SortError {
         arm: String,
         /// What is wrong.
         source: CellError,
+    },
+    /// A hand of which nobody says how large it is: neither the configuration nor who has made the cell.
+    #[error("{arm}: hand_radius_m: found none, expected one: the cell does not know the bodies of this hand")]
+    Hand {
+        /// The arm.
+        arm: String,
     },
     /// The planner.
     #[error(transparent)]

@@ -1,5 +1,6 @@
 //! `graspd cell run sort.toml`: several arms sort one tray; `--rounds` measures it.
 
+mod envelope;
 mod progress;
 mod rounds;
 mod shape;
@@ -84,6 +85,7 @@ async fn one_run(
         arms: devices.arms,
         planner: planner.clone(),
         recognizer: Some(devices.recognizer),
+        clock: Arc::new(world::WorldClock(devices.shared.clone())),
         witness: Some(devices.witness),
     };
     // The emulated devices live until the run has ended.

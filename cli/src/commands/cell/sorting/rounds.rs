@@ -1,5 +1,6 @@
 //! Many trays one after the other: throughput in simulated time, and whether arms meet.
 
+use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -8,6 +9,7 @@ use anyhow::Context as _;
 use graspd_cell::plan::GraspPlanner;
 use graspd_cell::sort::config::SortConfig;
 use graspd_cell::sort::report::SortReport;
+use graspd_cell::sort::shares::Shares;
 use serde_json::json;
 
 use super::super::RunArgs;
@@ -31,6 +33,11 @@ struct Sum {
     simulated_s: f64,
     planning_s: f64,
     longest_assignment_s: f64,
+    looks_past_arms: u32,
+    /// Where the arms' time went, by their names.
+    time: BTreeMap<String, Shares>,
+    /// Simulated seconds with none, one, two, ... arms over the tray.
+    over_tray_s: Vec<f64>,
 }
 
 impl Sum {
@@ -40,6 +47,15 @@ impl Sum {
         self.looks += report.looks;
         self.picks += report.trials();
         self.together += report.together;
+        self.looks_past_arms += report.looks_past_arms;
+        for arm in &report.arms {
+            let sum = self.time.entry(arm.arm.clone()).or_default();
+            *sum = sum.plus(&arm.time);
+        }
+        self.over_tray_s.resize(report.over_tray_s.len().max(self.over_tray_s.len()), 0.0);
+        for (sum, seconds) in self.over_tray_s.iter_mut().zip(&report.over_tray_s) {
+            *sum += seconds;
+        }
         self.planning_s += report.plan_s.iter().sum::<f64>();
         self.longest_assignment_s = report.assign_s.iter().copied().fold(self.longest_assignment_s, f64::max);
         let Some(truth) = &report.truth else { return };
@@ -119,6 +135,12 @@ pub(super) async fn run(
             "picks           {}, {} begun while another arm picked; {} looks",
             sum.picks, sum.together, sum.looks
         )?;
+        for (arm, time) in &sum.time {
+            writeln!(out, "{arm:<15} {time}")?;
+        }
+        let all = sum.over_tray_s.iter().sum::<f64>().max(1e-9);
+        let over: Vec<String> = sum.over_tray_s.iter().map(|s| format!("{:.0} %", 100.0 * s / all)).collect();
+        writeln!(out, "over the tray   none, one, ... arms: {} of the time", over.join(", "))?;
         writeln!(out, "collisions      {}", sum.collisions)?;
         writeln!(out, "simulated       {:.1} s, {:.2} objects a minute", sum.simulated_s, sum.throughput())?;
         writeln!(out, "planning        {:.1} s of the wall clock beside it", sum.planning_s)?;

@@ -1,5 +1,6 @@
 //! The devices of a sorting cell: several arms with their hands in one simulated world, mock ones and emulated ones.
 
+use std::any::Any;
 use std::sync::Arc;
 
 use anyhow::Context as _;
@@ -10,6 +11,7 @@ use graspd_adapters_mock::{
 use graspd_cell::config::CellConfig;
 use graspd_cell::pose::pointing_down;
 use graspd_cell::sort::ArmCell;
+use graspd_cell::sort::clock::Clock;
 use graspd_cell::sort::config::{ArmStation, SortConfig};
 use graspd_hands::library;
 use nalgebra::Vector3;
@@ -17,10 +19,26 @@ use tokio::task::JoinSet;
 
 use super::super::simulation::{Simulation, fill, tray};
 use super::super::world::{Trouble, camera, emulated_arm, emulated_hand, table};
+use super::envelope::envelope;
 use super::shape::UrShape;
 use super::truth::{NameRecognizer, SortingTruth, Watched};
 use crate::devices::{self, Section, sections};
 use crate::hand_source;
+
+/// The clock of the simulated world. On demand it stands still while the cell thinks: figures in simulated time do not depend on
+/// how fast the machine plans.
+#[derive(Debug)]
+pub(super) struct WorldClock(pub(super) SharedWorld);
+
+impl Clock for WorldClock {
+    fn now_s(&self) -> f64 {
+        self.0.time_s()
+    }
+
+    fn still(&self) -> Option<Box<dyn Any + Send>> {
+        (!self.0.is_paced()).then(|| Box::new(self.0.hold()) as Box<dyn Any + Send>)
+    }
+}
 
 /// Half of the opening of a simulated bin, metres.
 const BIN_HALF_M: f64 = 0.075;
@@ -158,7 +176,8 @@ pub(super) async fn devices(config: &SortConfig) -> anyhow::Result<SortingDevice
         } else {
             emulated_hand(cell, &shared, mounted, faults.hand, &mut trouble).await.with_context(of)?
         };
-        arms.push(ArmCell { arm, hand: fingers, shape: Arc::new(shape.clone()) });
+        let hand_bodies = envelope(hand);
+        arms.push(ArmCell { arm, hand: fingers, shape: Arc::new(shape.clone()), hand_bodies });
         watched.push(Watched { name: station.name.clone(), hand: mounted, shape: shape.clone() });
     }
     let witness = Arc::new(SortingTruth::new(&shared, config, watched).await?);
