@@ -27,6 +27,9 @@ use crate::volume::SurfaceVoxel;
 /// Clusters of fewer focal centroids are dropped when a larger one exists.
 pub const MIN_CLUSTER: usize = 10;
 
+/// Voxels that are looked through in one piece.
+const CHUNK: usize = 4096;
+
 /// Below this share of the largest certainty a voxel's own direction is not trusted.
 const TINY_CERTAINTY: f32 = 0.05;
 
@@ -141,7 +144,7 @@ fn finite(v: f32) -> f32 {
 
 /// Memory positions of the values above `share` of the largest, and the largest (0 for an empty field).
 fn above_share(values: &[f32], share: f64) -> (Vec<u32>, f32) {
-    let largest = values.par_iter().map(|&v| finite(v)).reduce(|| 0.0, f32::max);
+    let largest = values.par_chunks(CHUNK).map(largest_finite).reduce(|| 0.0, f32::max);
     if largest <= 0.0 {
         return (Vec::new(), 0.0);
     }
@@ -151,8 +154,28 @@ fn above_share(values: &[f32], share: f64) -> (Vec<u32>, f32) {
         // A share of 1 leaves the maximum itself.
         v > 0.0 && (v > threshold || v >= largest)
     };
-    let found = values.par_iter().enumerate().filter(|&(_, &v)| above(v)).map(|(i, _)| i as u32).collect();
+    let of_chunk = |(k, chunk): (usize, &[f32])| {
+        let found = chunk.iter().enumerate().filter(|&(_, &v)| above(v));
+        found.map(|(i, _)| (k * CHUNK + i) as u32).collect::<Vec<u32>>()
+    };
+    let found = values.par_chunks(CHUNK).enumerate().flat_map_iter(of_chunk).collect();
     (found, largest)
+}
+
+/// The largest of the finite values, at least 0. In lanes: one maximum for all would wait for itself at every value.
+fn largest_finite(values: &[f32]) -> f32 {
+    let mut lanes = [0.0f32; 16];
+    let larger = |largest: &mut f32, v: f32| {
+        if v > *largest && v < f32::INFINITY {
+            *largest = v;
+        }
+    };
+    let (rows, rest) = values.as_chunks::<16>();
+    for row in rows {
+        lanes.iter_mut().zip(row).for_each(|(largest, &v)| larger(largest, v));
+    }
+    lanes.iter_mut().zip(rest).for_each(|(largest, &v)| larger(largest, v));
+    lanes.into_iter().fold(0.0, f32::max)
 }
 
 /// Clusters focal centroids; heaviest first, equal ones in memory order.
