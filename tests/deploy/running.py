@@ -127,7 +127,7 @@ def under_load(folder: Path) -> str:
             assert time.monotonic() < due, "\n".join(processes["envoy"].log[-40:])
             time.sleep(0.1)
         load = subprocess.Popen(
-            [GRASPD, "load", "--server", f"http://127.0.0.1:{envoy_port}", "--rate", "3", "--duration", str(SECONDS),
+            [GRASPD, "load", "--server", f"http://127.0.0.1:{envoy_port}", "--concurrency", "4", "--duration", str(SECONDS),
              "--warmup", "0", "--deadline-ms", "60000", "--scheme", "20,10", "--batch", "8", "--json"],
             env=clean_environment(), stdout=subprocess.PIPE, text=True,
         )
@@ -146,7 +146,7 @@ def under_load(folder: Path) -> str:
         out, _ = load.communicate(timeout=SECONDS + PATIENCE_S)
         assert load.returncode == 0, out
         report = json.loads(out)
-        assert report["calls"] >= SECONDS and set(report["codes"]) == {"OK"}, told(report, admin, processes)
+        assert report["calls"] >= SECONDS // 2 and set(report["codes"]) == {"OK"}, told(report, admin, processes)
         retried, abandoned = counter(admin, "upstream_rq_retry"), counter(admin, "retry_or_shadow_abandoned")
         assert abandoned == 0, f"{abandoned} calls were too large to be repeated"
         return f"{report['calls']} calls while fronts and worker were killed, none failed ({retried} repeated by Envoy)"
