@@ -155,13 +155,13 @@ fn heap(cells: Vec<Vector2<f64>>, height_m: f64, floor_m: f64) -> Seen {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use graspd_adapters_core::{DepthFrame, Lens};
     use nalgebra::{Isometry3, Vector3};
 
-    /// A camera straight above, and boxes (middle, edges, height) on a floor at 0.
-    fn frame(boxes: &[([f64; 2], [f64; 2], f64)]) -> Frame {
+    /// A camera 0.8 m above the floor at 0, looking straight down, and boxes (middle, edges, height) on it.
+    pub(in crate::sort) fn frame(boxes: &[([f64; 2], [f64; 2], f64)]) -> Frame {
         let (width, height, f, up) = (320usize, 320usize, 400.0, 0.8);
         let lens = Lens { fx_px: f, fy_px: f, cx_px: 160.0, cy_px: 160.0, distortion: [0.0; 8] };
         let mut depth_m = Vec::new();

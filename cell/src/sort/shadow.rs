@@ -91,30 +91,11 @@ fn pixels(body: &Capsule, axis: usize, focal: f64, middle: f64, edge: usize) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use graspd_adapters_core::{DepthFrame, Lens};
-    use nalgebra::Isometry3;
-
-    /// A camera 0.8 m above a bare floor, looking straight down.
-    fn frame() -> Frame {
-        let lens = Lens { fx_px: 200.0, fy_px: 200.0, cx_px: 80.0, cy_px: 80.0, distortion: [0.0; 8] };
-        let pose =
-            Isometry3::translation(0.0, 0.0, 0.8) * Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
-        let device = DepthFrame {
-            width: 160,
-            height: 160,
-            depth_m: vec![0.8f32; 160 * 160].into(),
-            lens,
-            world_from_camera: Some(pose),
-            sequence: 1,
-            stamp: std::time::Duration::ZERO,
-            age: std::time::Duration::ZERO,
-        };
-        Frame::of(&device, &pose).unwrap()
-    }
+    use crate::sort::objects::tests::frame;
 
     #[test]
     fn what_is_behind_a_body_is_missing_and_nothing_else_is() {
-        let mut seen = frame();
+        let mut seen = frame(&[]);
         let at = |x: f64| Point3::new(x, 0.0, 0.4);
         let body = Capsule { a: at(-0.05), b: at(0.05), radius_m: 0.03 };
         let shadow = hide(&mut seen, &[body], &TrayConfig::default());
@@ -122,17 +103,17 @@ mod tests {
         for (x, y, hidden) in
             [(0.0, 0.0, true), (0.14, 0.0, true), (0.18, 0.0, false), (0.0, 0.05, true), (0.0, 0.07, false)]
         {
-            let (u, v) = ((80.0 + 200.0 * x / 0.8) as usize, (80.0 - 200.0 * y / 0.8) as usize);
-            assert_eq!(seen.millimetres[v * 160 + u] == 0, hidden, "{x} {y}");
+            let (u, v) = ((160.0 + 400.0 * x / 0.8) as usize, (160.0 - 400.0 * y / 0.8) as usize);
+            assert_eq!(seen.millimetres[v * 320 + u] == 0, hidden, "{x} {y}");
             let near = shadow.points.iter().any(|p| (p - Vector2::new(x, y)).norm() < 0.008);
             assert_eq!(near, hidden, "{x} {y}");
         }
         // A body below what is seen hides nothing.
-        let mut seen = frame();
+        let mut seen = frame(&[]);
         let below =
             Capsule { a: Point3::new(0.0, 0.0, -0.2), b: Point3::new(0.1, 0.0, -0.2), radius_m: 0.05 };
         assert_eq!(hide(&mut seen, &[below], &TrayConfig::default()), Shadow::default());
-        assert_eq!(seen, frame());
+        assert_eq!(seen, frame(&[]));
         // One that holds the camera leaves nothing to be seen.
         let over = Capsule { a: Point3::new(0.0, 0.0, 0.8), b: Point3::new(0.1, 0.0, 0.8), radius_m: 0.05 };
         hide(&mut seen, &[over], &TrayConfig::default());
