@@ -26,6 +26,10 @@ impl Budget for StdBudget {
     fn stop(&self) -> Option<Stop> {
         self.limit.filter(|&limit| self.start.elapsed() >= limit).map(|_| Stop::Deadline)
     }
+
+    fn remaining(&self) -> Option<Duration> {
+        self.limit.map(|limit| limit.saturating_sub(self.start.elapsed()))
+    }
 }
 
 #[cfg(test)]
@@ -38,5 +42,8 @@ mod tests {
         assert_eq!(StdBudget::new(Some(Duration::ZERO)).stop(), Some(Stop::Deadline));
         let budget = StdBudget::new(Some(Duration::from_secs(3600)));
         assert_eq!(budget.stop(), None);
+        assert!(budget.remaining().is_some_and(|left| left > Duration::from_secs(3599)));
+        assert_eq!(StdBudget::new(None).remaining(), None);
+        assert_eq!(StdBudget::new(Some(Duration::ZERO)).remaining(), Some(Duration::ZERO));
     }
 }

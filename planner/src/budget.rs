@@ -20,6 +20,12 @@ pub trait Budget: Sync {
     /// `Some` once work has to stop, and from then on: what is left out for it is never put in again.
     fn stop(&self) -> Option<Stop>;
 
+    /// Time left until [`Stop::Deadline`], where there is one and it is known: a search that cannot do all of its
+    /// iterations begins early with the last of them, those that keep the hand out of things.
+    fn remaining(&self) -> Option<Duration> {
+        None
+    }
+
     /// [`Budget::stop`] as an error, for work of several steps that each take milliseconds.
     ///
     /// # Errors

@@ -120,6 +120,9 @@ pub(crate) fn search(
     if ranking.rejected.contains_key(&RejectReason::Unfinished) {
         stats.stopped = stats.stopped.or_else(|| budget.stop());
     }
+    if batch.is_shortened() {
+        stats.stopped = stats.stopped.or(Some(Stop::Deadline));
+    }
     stats.candidates = batch.candidates.len();
     stats.iterations = batch.iterations_done();
     stats.stages.push(("initialize", after_init.saturating_sub(begin)));

@@ -147,6 +147,68 @@ fn a_deadline_returns_the_best_so_far_and_a_cancellation_stops_within_an_iterati
     assert_eq!(none.stats.rejected.get(&RejectReason::Unfinished), Some(&options.batch));
 }
 
+/// A clock that every look moves on, until its limit; it says how long that is, or does not.
+struct Ticking {
+    looks: AtomicUsize,
+    limit: usize,
+    tells: bool,
+}
+
+impl Ticking {
+    fn until(limit: usize, tells: bool) -> Self {
+        Self { looks: AtomicUsize::new(0), limit, tells }
+    }
+
+    fn at(&self, looks: usize) -> Duration {
+        Duration::from_micros(looks as u64)
+    }
+}
+
+impl Budget for Ticking {
+    fn elapsed(&self) -> Duration {
+        self.at(self.looks.load(Ordering::Relaxed))
+    }
+
+    fn stop(&self) -> Option<Stop> {
+        (self.looks.fetch_add(1, Ordering::Relaxed) >= self.limit).then_some(Stop::Deadline)
+    }
+
+    fn remaining(&self) -> Option<Duration> {
+        self.tells.then(|| self.at(self.limit.saturating_sub(self.looks.load(Ordering::Relaxed))))
+    }
+}
+
+#[test]
+fn a_search_that_will_not_end_in_time_still_keeps_its_hand_out_of_things() {
+    let hand = library::hand("leap").expect("a library hand");
+    let scheme = Scheme { iterations: 2000, with_penetration: 500 };
+    let options = PlanOptions { scheme, ..PlanOptions::default() };
+    // Time for so many iterations of every candidate, of 2000.
+    for iterations in [100, 200, 700, 1400] {
+        let [known, unknown] = [true, false].map(|tells| {
+            let clock = Ticking::until(options.batch * iterations, tells);
+            let plan = plan(&CLUTTER, hand, &options, &clock, None);
+            assert_eq!(plan.stats.stopped, Some(Stop::Deadline));
+            assert!(plan.stats.iterations <= iterations, "{} of {iterations}", plan.stats.iterations);
+            plan
+        });
+        let [with_clock, without] = [&known, &unknown].map(|plan| {
+            let collisions =
+                [RejectReason::CollisionScene, RejectReason::CollisionTable, RejectReason::CollisionSelf];
+            collisions.iter().filter_map(|reason| plan.stats.rejected.get(reason)).sum::<usize>()
+        });
+        assert!(without > 4 && with_clock * 4 < without, "{iterations}: {with_clock} and {without} collide");
+        assert!(known.grasps.len() > unknown.grasps.len(), "{iterations}: {:?}", known.stats.rejected);
+    }
+    // With time enough nothing is left out, and nothing differs from a search without a clock.
+    let options = quick();
+    let free = plan(&CLUTTER, hand, &options, &Unlimited, None);
+    let clock = Ticking::until(100 * options.batch * options.scheme.iterations, true);
+    let in_time = plan(&CLUTTER, hand, &options, &clock, None);
+    assert_eq!(in_time.stats.stopped, None);
+    assert_eq!(free.grasps, in_time.grasps);
+}
+
 #[test]
 fn better_sets_arrive_before_the_end_and_never_get_worse() {
     let hand = library::hand("robotiq-2f85").expect("a library hand");

@@ -130,12 +130,20 @@ pub struct CallBudget {
     cancelled: Arc<Cancelled>,
     /// Set when the whole server ends.
     aborted: Arc<AtomicBool>,
+    /// Work that counts only when all of it is done.
+    is_indivisible: bool,
 }
 
 impl CallBudget {
     /// Work that began at `start` and has to end at `deadline`.
     pub fn new(start: Instant, deadline: Option<Instant>) -> Self {
-        Self { start, deadline, cancelled: Arc::default(), aborted: Arc::default() }
+        Self { start, deadline, cancelled: Arc::default(), aborted: Arc::default(), is_indivisible: false }
+    }
+
+    /// For work that counts only when all of it is done: it is not told how long it has, lest it do less.
+    #[must_use]
+    pub(crate) fn indivisible(self, is_indivisible: bool) -> Self {
+        Self { is_indivisible, ..self }
     }
 
     /// Also stops when `aborted` is set, which many calls may share.
@@ -197,6 +205,11 @@ impl Budget for CallBudget {
             Some(deadline) if Instant::now() >= deadline => Some(Stop::Deadline),
             _ => None,
         }
+    }
+
+    fn remaining(&self) -> Option<Duration> {
+        let deadline = self.deadline.filter(|_| !self.is_indivisible);
+        deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()))
     }
 }
 
@@ -282,6 +295,11 @@ mod tests {
         assert_eq!(call.within(Some(Duration::from_secs(30))).deadline(), call.deadline());
         assert_eq!(CallBudget::new(start, None).within(None).deadline(), None);
         assert_eq!(CallBudget::new(start, Some(start)).stop(), Some(Stop::Deadline));
+        assert_eq!(CallBudget::new(start, Some(start)).remaining(), Some(Duration::ZERO));
+        assert_eq!(CallBudget::new(start, None).remaining(), None);
+        let later = CallBudget::new(start, Some(start + Duration::from_secs(60)));
+        assert!(later.remaining().is_some_and(|left| left > Duration::from_secs(50)));
+        assert_eq!(later.indivisible(true).remaining(), None);
         let guard = call.cancel_on_drop();
         assert_eq!(hand.stop(), None);
         drop(guard);

@@ -27,6 +27,8 @@ pub(crate) struct Candidate {
     pub(crate) best: Configuration,
     /// Its terms.
     pub(crate) terms: ObjectiveTerms,
+    /// These terms know of penetration; those of the first phase do not, and compare only with their like.
+    pub(crate) knows_penetration: bool,
     /// This candidate's reaching direction, volume frame.
     pub(crate) reaching: Vector3<f64>,
     /// Terms of every iteration, when asked for.
@@ -63,6 +65,7 @@ impl Candidate {
             best: current.clone(),
             current,
             terms: ObjectiveTerms { total: f64::INFINITY, ..ObjectiveTerms::default() },
+            knows_penetration: false,
             reaching,
             shares,
             trace: Vec::with_capacity(if keep_trace { iterations } else { 0 }),
@@ -94,6 +97,7 @@ impl Candidate {
             let terms = objective.evaluate(&self.current, &self.reaching, true, scratch, &mut self.gradient);
             if k == 0 {
                 self.terms = terms;
+                self.knows_penetration = true;
             } else if terms.total < self.terms.total {
                 self.best.copy_from(&self.current);
                 self.terms = terms;
@@ -121,6 +125,7 @@ impl Candidate {
         self.gradient.copy_from_slice(&other.gradient);
         self.rng.clone_from(&other.rng);
         (self.iteration, self.trust) = (other.iteration, other.trust);
+        self.knows_penetration = other.knows_penetration;
     }
 
     /// Moves the candidate: its frame of reference has moved by as much the other way, or what it holds on to has moved.
@@ -169,6 +174,7 @@ impl Candidate {
             if terms.total < self.terms.total {
                 self.best.copy_from(&self.current);
                 self.terms = terms;
+                self.knows_penetration = with_penetration;
             }
             if self.keep_trace {
                 self.trace.push(terms);

@@ -45,7 +45,12 @@ const ALWAYS_JUDGED: usize = 24;
 pub(crate) fn rank(judge: &Judge<'_>, candidates: &[Candidate], most: usize, budget: &dyn Budget) -> Ranking {
     let model = judge.objective.model;
     let mut order: Vec<usize> = (0..candidates.len()).collect();
-    order.sort_by(|&a, &b| candidates[a].terms.total.total_cmp(&candidates[b].terms.total).then(a.cmp(&b)));
+    // Whose objective does not know of obstacles comes after those whose does.
+    order.sort_by(|&a, &b| {
+        let (one, other) = (&candidates[a], &candidates[b]);
+        let knows = other.knows_penetration.cmp(&one.knows_penetration);
+        knows.then(one.terms.total.total_cmp(&other.terms.total)).then(a.cmp(&b))
+    });
     let unfinished = || Err(Rejection::new(RejectReason::Unfinished, 0.0));
     let mut judged: Vec<(usize, Result<Grasp, Rejection>)> = order
         .into_par_iter()

@@ -238,6 +238,7 @@ impl Call {
         }
         let began = Instant::now();
         let options = self.options(task, turn, began, budget);
+        let budget = &budget.clone().indivisible(task.job.require_complete);
         let context = |elapsed| PlanContext {
             stages: &read.stages,
             invalid_pixels: read.invalid_pixels,
