@@ -472,7 +472,8 @@ class PlanOptions(_message.Message):
     @_builtins.property
     def budget(self) -> _duration_pb2.Duration:
         """Stop after this and answer with the best so far, even if the call's deadline is later; more than 0. Unset
-        means the call's deadline alone, if it has one.
+        means the call's deadline alone, if it has one. Where it ends before the scheme would, iterations without penetration
+        are left out, not those with it.
         """
 
     def __init__(
