@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
@@ -46,6 +46,40 @@ async def result(call: Awaitable[_T]) -> _T:
         return await call
     except grpc.aio.AioRpcError as error:
         raise from_status(error.code(), error.details(), error.trailing_metadata()) from None
+
+
+class Ending:
+    """The status with which a stream ended, as it first came.
+
+    A write that meets a stream which the server has ended overwrites the server's status with INTERNAL in grpc.aio
+    (grpc/grpc issue 36066), so it is read in the moment in which it comes.
+    """
+
+    def __init__(self, call: Any) -> None:
+        self._error: CallError | None = None
+        call.add_done_callback(self._note)
+
+    def _note(self, call: Any) -> None:
+        code = _at_once(call.code())
+        if self._error is None and code not in (None, grpc.StatusCode.OK):
+            self._error = from_status(code, _at_once(call.details()), _at_once(call.trailing_metadata()))
+
+    async def result(self, call: Awaitable[_T]) -> _T:
+        """Waits for a read; its error is the one with which the stream ended first."""
+        try:
+            return await result(call)
+        except CallError as error:
+            raise self._error or error from None
+
+
+def _at_once(asked: Coroutine[Any, Any, _T]) -> _T | None:
+    """What a coroutine that has nothing to wait for gives; None if it would wait."""
+    try:
+        asked.send(None)
+    except StopIteration as end:
+        return end.value  # type: ignore[no-any-return]
+    asked.close()
+    return None
 
 
 class AsyncStream(Generic[_T]):

@@ -10,7 +10,7 @@ from typing import Any
 import grpc
 import grpc.aio
 
-from graspd.aio_calls import result
+from graspd.aio_calls import Ending
 from graspd.errors import GraspdError, late
 from graspd.frames import DepthFrame
 from graspd.servo import HandPosture, Numbers, ServoAnswer, answer_from_wire
@@ -32,6 +32,7 @@ class AsyncServo:
         self._ended = False
         self._finished = False
         self._call = start()
+        self._ending = Ending(self._call)
 
     async def send(self, frame: DepthFrame, *, hand: HandPosture | None = None, sequence: int | None = None) -> int:
         """Sends a frame, as `graspd.Servo.send`; waits while the connection is slower than the camera."""
@@ -69,7 +70,7 @@ class AsyncServo:
         if self._ended:
             raise StopAsyncIteration
         try:
-            message = await asyncio.wait_for(result(self._call.read()), self._answer_timeout)
+            message = await asyncio.wait_for(self._ending.result(self._call.read()), self._answer_timeout)
             if message is grpc.aio.EOF:
                 raise StopAsyncIteration
             return answer_from_wire(message)
