@@ -166,6 +166,27 @@ impl Run<'_> {
         self.within(Who::Arm, &arm.info().name, "move_linear", limit, call).await
     }
 
+    /// Through the air, at the height of travel, to a pose. An arm among others goes on the straight lines that are reserved
+    /// for it: over the pose, then down to it. Where there is none, as next to a singularity, it goes as its joints do: so does an
+    /// arm by itself.
+    pub(super) async fn through_air(&self, pose: &Isometry3<f64>, pace: Pace) -> Result<(), Problem> {
+        if !self.led {
+            return self.move_to(pose, pace).await;
+        }
+        let over = raised_to(pose, &self.facts.tool_point, self.places.travel_m);
+        let is_over = (over.translation.vector - pose.translation.vector).norm() < 1e-3;
+        for at in [Some(&over), (!is_over).then_some(pose)].into_iter().flatten() {
+            match self.move_linear(at, pace).await {
+                Err(problem) if problem.trouble == Trouble::OutOfReach => {
+                    tracing::info!(text = problem.text, "no straight line: as the joints go");
+                    self.move_to(at, pace).await?;
+                }
+                done => done?,
+            }
+        }
+        Ok(())
+    }
+
     /// Straight to a pose, or until the hand meets something.
     pub(super) async fn move_until_contact(&self, pose: &Isometry3<f64>) -> Result<Reached, Problem> {
         let (arm, limit) = (&self.cell.arm, seconds(self.config.timeouts.move_s));

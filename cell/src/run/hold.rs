@@ -52,7 +52,7 @@ impl Run<'_> {
     pub(super) async fn carry(&mut self) -> Result<Next, Problem> {
         // Not sideways with an object from lower than that: there are other objects and the tray's walls.
         self.raise(Pace::Carry).await?;
-        self.move_to(&self.places.drop, Pace::Carry).await?;
+        self.through_air(&self.places.drop, Pace::Carry).await?;
         // One that is known to be lost needs no question.
         Ok(Next::Go(if self.attempt.failed.is_some() { Step::Release } else { Step::CheckDelivered }))
     }

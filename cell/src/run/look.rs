@@ -14,7 +14,7 @@ impl Run<'_> {
     pub(super) async fn clear_view(&mut self) -> Result<Next, Problem> {
         self.raise_empty(Pace::Travel).await?;
         if !self.prepared {
-            self.move_to(&self.places.drop, Pace::Carry).await?;
+            self.through_air(&self.places.drop, Pace::Carry).await?;
             self.open_wide().await?;
             self.holding = Holding::Nothing;
             self.prepared = true;
@@ -24,7 +24,7 @@ impl Run<'_> {
             // A camera in the palm looks out between open fingers.
             self.open_wide().await?;
         }
-        self.move_to(look.as_ref().unwrap_or(&self.places.wait), Pace::Travel).await?;
+        self.through_air(look.as_ref().unwrap_or(&self.places.wait), Pace::Travel).await?;
         Ok(Next::Go(Step::Capture))
     }
 

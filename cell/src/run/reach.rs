@@ -74,7 +74,7 @@ impl Run<'_> {
         let pregrasp = self.chosen()?.world_from_pregrasp.isometry();
         let above = raised_to(&pregrasp, &self.facts.tool_point, self.places.travel_m);
         self.raise_empty(Pace::Travel).await?;
-        self.move_to(&above, Pace::Travel).await?;
+        self.through_air(&above, Pace::Travel).await?;
         self.move_linear(&pregrasp, Pace::Approach).await?;
         Ok(Next::Go(Step::Approach))
     }

@@ -154,7 +154,7 @@ pub(super) fn offer(
                     Ok((swept, begin, stretch)) => {
                         tail = Arc::new(Swept::new(swept[begin..].to_vec()));
                         corridor = Arc::new(Swept::new(swept));
-                        grasp.reach = reach(config, arm, cell, station, planned, stretch);
+                        grasp.reach = reach(config, arm, cell, station, (planned, &drop), stretch);
                         if let Some(other) = space.ground_in_way(arm, &corridor) {
                             grasp.barred = Some(format!("{} stands in the way", config.arms[other].name));
                         }
@@ -171,17 +171,17 @@ pub(super) fn offer(
     offer
 }
 
-/// The arm's own word on the way to a grasp stands above what its kinematics here say.
+/// The arm's own word on the way to a grasp, and from there to the bin, stands above what its kinematics here say.
 fn reach(
     config: &SortConfig,
     arm: usize,
     cell: &ArmCell,
     station: &Station,
-    planned: &PlannedGrasp,
+    (planned, drop): (&PlannedGrasp, &Isometry3<f64>),
     stretch: f64,
 ) -> Comfort {
     let pregrasp = planned.world_from_pregrasp.isometry();
-    let above = raised_to(&pregrasp, &station.facts.tool_point, station.heights.travel_m);
+    let high = |pose: &Isometry3<f64>| raised_to(pose, &station.facts.tool_point, station.heights.travel_m);
     let settings = &config.arms[arm].arm;
     let leg = |world_from_flange, straight, speed_m_s| Leg {
         world_from_flange,
@@ -189,9 +189,13 @@ fn reach(
         limits: Limits { speed_m_s, acceleration_m_s2: settings.acceleration_m_s2 },
     };
     let way = [
-        leg(above, false, settings.speed_m_s),
+        // Where it is now is no part of the way.
+        leg(high(&station.home), false, settings.speed_m_s),
+        leg(high(&pregrasp), true, settings.speed_m_s),
         leg(pregrasp, true, settings.approach_speed_m_s),
         leg(planned.world_from_hand.isometry(), true, settings.approach_speed_m_s),
+        leg(station.heights.lifted(planned, &station.facts.tool_point), true, settings.lift_speed_m_s),
+        leg(high(drop), true, settings.carry_speed_m_s),
     ];
     match cell.arm.reaches(&way) {
         Reach::Beyond { why, .. } => Comfort::Beyond(why),

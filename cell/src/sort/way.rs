@@ -85,7 +85,7 @@ pub struct Heights {
 
 impl Heights {
     /// Where the hand is once it has lifted what it grasped.
-    fn lifted(&self, grasp: &PlannedGrasp, tool: &Vector3<f64>) -> Isometry3<f64> {
+    pub(super) fn lifted(&self, grasp: &PlannedGrasp, tool: &Vector3<f64>) -> Isometry3<f64> {
         let mut up = grasp.world_from_hand.isometry();
         up.translation.vector.z += self.lift_m;
         raised_to(&up, tool, self.travel_m)

@@ -1,9 +1,10 @@
 //! Three arms over one tray, and what goes wrong meanwhile: nothing collides, nothing is lost, the run ends.
 
 use std::net::SocketAddr;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
+use graspd_adapters_core::{Arm, ArmInfo, ArmState, DeviceError, Leg, Limits, Reach, async_trait};
 use graspd_adapters_mock::{FaultHandle, Spell};
 use graspd_cell::outcome::End;
 use graspd_cell::plan::PlannerClient;
@@ -11,6 +12,7 @@ use graspd_cell::sort::report::Truth;
 use graspd_cell::sort::table::{Doing, SortEvent, SortObserver};
 use graspd_cell::steps::Step;
 use graspd_server::{Server, ServerConfig};
+use nalgebra::Isometry3;
 use tokio::io::copy_bidirectional;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{AbortHandle, JoinHandle};
@@ -68,6 +70,55 @@ impl<F: FnMut() + Send> SortObserver for When<F> {
     }
 }
 
+/// An arm that has no straight line where it is asked for one for the first time, and counts where it goes as its joints do.
+#[derive(Debug)]
+struct Bent {
+    arm: Arc<dyn Arm>,
+    refuses: AtomicBool,
+    swings: AtomicU32,
+}
+
+#[async_trait]
+impl Arm for Bent {
+    fn info(&self) -> ArmInfo {
+        self.arm.info()
+    }
+
+    fn reaches(&self, way: &[Leg]) -> Reach {
+        self.arm.reaches(way)
+    }
+
+    async fn state(&self, timeout: Duration) -> Result<ArmState, DeviceError> {
+        self.arm.state(timeout).await
+    }
+
+    async fn move_to(&self, to: &Isometry3<f64>, l: Limits, timeout: Duration) -> Result<(), DeviceError> {
+        self.swings.fetch_add(1, Ordering::Relaxed);
+        self.arm.move_to(to, l, timeout).await
+    }
+
+    async fn move_linear(&self, to: &Isometry3<f64>, l: Limits, t: Duration) -> Result<(), DeviceError> {
+        let sideways = {
+            let now = self.arm.state(t).await?.world_from_flange.translation.vector;
+            (now - to.translation.vector).xy().norm() > 0.05
+        };
+        if sideways && self.refuses.swap(false, Ordering::Relaxed) {
+            let [field, found, expected] =
+                ["pose", "a line through a singularity", "one without"].map(String::from);
+            return Err(DeviceError::OutOfRange { device: self.info().name, field, found, expected });
+        }
+        self.arm.move_linear(to, l, t).await
+    }
+
+    async fn stop(&self, timeout: Duration) -> Result<(), DeviceError> {
+        self.arm.stop(timeout).await
+    }
+
+    async fn clear_fault(&self, timeout: Duration) -> Result<(), DeviceError> {
+        self.arm.clear_fault(timeout).await
+    }
+}
+
 /// A server on a port, until it is aborted.
 async fn serve(listen: SocketAddr) -> (SocketAddr, AbortHandle) {
     // A port that was in use a moment ago may still be taken.
@@ -112,7 +163,16 @@ async fn three_arms_sort_a_tray_at_the_same_time_and_do_not_meet() {
     let mut config = config(6);
     config.sort.look_past_arms = true;
     let (address, _server) = serve(ANY).await;
-    let (cell, _devices) = cell_at(&config, address).await;
+    let (mut cell, _devices) = cell_at(&config, address).await;
+    let bent: Vec<Arc<Bent>> = (cell.arms.iter_mut().enumerate())
+        .map(|(i, arm)| {
+            let bent =
+                Bent { arm: arm.arm.clone(), refuses: AtomicBool::new(i == 2), swings: AtomicU32::new(0) };
+            let bent = Arc::new(bent);
+            arm.arm = bent.clone();
+            bent
+        })
+        .collect();
     let mut watch = When::new(None, Step::Lift, || {});
     let report = sort(&cell, &config, &mut watch).await.unwrap();
     let truth = in_order(&report, 6);
@@ -124,6 +184,9 @@ async fn three_arms_sort_a_tray_at_the_same_time_and_do_not_meet() {
     assert!(report.arms.iter().all(|a| (a.time.total_s() - seconds).abs() < 1e-6), "{report}");
     assert!((seconds - truth.time_s).abs() < 2.0, "{seconds} of {}", truth.time_s);
     assert_eq!(truth.misplaced, [""; 0], "{report}");
+    // Through the air they go on the lines that are reserved, and only where there is none as their joints do.
+    let swings: Vec<u32> = bent.iter().map(|b| b.swings.load(Ordering::Relaxed)).collect();
+    assert_eq!(swings, [0, 0, 1], "{report}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
