@@ -15,7 +15,7 @@ use crate::record::RecordError;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DecisionRecord {
-    /// Seconds since the run began.
+    /// Seconds since the run began, on the cell's clock.
     pub time_s: f64,
     /// The look that the grasps are from.
     pub look: u32,

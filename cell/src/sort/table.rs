@@ -59,6 +59,8 @@ pub struct Row {
 /// The whole table.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Table {
+    /// Seconds since the run began, on the cell's clock.
+    pub time_s: f64,
     /// One line for each arm.
     pub rows: Vec<Row>,
     /// Looks so far.
@@ -92,7 +94,7 @@ impl fmt::Display for Table {
                 row.arm, row.hand, row.delivered, row.trials
             )?;
         }
-        writeln!(f, "look {}, {} objects waiting", self.looks, self.waiting)
+        writeln!(f, "{:.1} s, look {}, {} objects waiting", self.time_s, self.looks, self.waiting)
     }
 }
 

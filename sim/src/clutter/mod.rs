@@ -18,6 +18,8 @@ use std::sync::Arc;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use packed::Spacing;
+
 use crate::object::Object;
 use crate::world::{ObjectId, World, WorldSettings};
 
@@ -26,6 +28,8 @@ use crate::world::{ObjectId, World, WorldSettings};
 pub enum Arrangement {
     /// Upright, side by side, without touching.
     Packed,
+    /// Upright, each by itself, over the whole tray, or the table's middle where there is none.
+    Spread,
     /// Poured: dropped from above one after the other, and settled.
     Pile,
 }
@@ -57,7 +61,7 @@ pub struct ArrangeError {
 /// middle) are put back in from above, and so are the few that find no rest where they are, 12 times at most.
 /// Deterministic by seed. Ids follow the order of the objects, from 1.
 ///
-/// Packed objects for which there is no free place are put on top of the others.
+/// Packed and spread objects for which there is no free place are put on top of the others.
 ///
 /// # Errors
 /// [`ArrangeError`] with the objects that still lie outside, or still move.
@@ -70,10 +74,14 @@ pub fn arrange(
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut falling = World::new(WorldSettings { dt_s: settings.dt_s.max(FALLING_DT_S), ..*settings });
     let mut ids: Vec<Option<ObjectId>> = vec![None; objects.len()];
-    if how == Arrangement::Packed {
-        for (id, (object, place)) in
-            ids.iter_mut().zip(objects.iter().zip(packed::places(objects, settings, &mut rng)))
-        {
+    let spacing = match how {
+        Arrangement::Packed => Some(Spacing::PACKED),
+        Arrangement::Spread => Some(Spacing::spread(settings)),
+        Arrangement::Pile => None,
+    };
+    if let Some(spacing) = spacing {
+        let places = packed::places(objects, settings, spacing, &mut rng);
+        for (id, (object, place)) in ids.iter_mut().zip(objects.iter().zip(places)) {
             *id = place.map(|pose| falling.add(object.clone(), &pose));
         }
         // What does not stand by itself lies down before anything comes from above.

@@ -1,4 +1,4 @@
-//! Packed: objects upright, side by side.
+//! Objects upright, side by side: packed, or spread over all the room there is.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -11,10 +11,25 @@ use super::footprint::Footprint;
 use crate::object::Object;
 use crate::world::WorldSettings;
 
-/// Half the side of the square in which packed objects stand, metres.
-const HALF_SIDE_M: f64 = 0.14;
-/// Gaps between neighbours that are tried, widest first, metres.
-const GAPS_M: [f64; 3] = [0.012, 0.006, 0.003];
+/// How close objects stand.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Spacing {
+    /// Half the side of the square in which they stand at most, metres.
+    half_side_m: f64,
+    /// Gaps between neighbours that are tried, widest first, metres.
+    gaps_m: &'static [f64],
+}
+
+impl Spacing {
+    /// In the middle, as close as they can be told apart.
+    pub(super) const PACKED: Self = Self { half_side_m: 0.14, gaps_m: &[0.012, 0.006, 0.003] };
+    /// Over the whole tray, or as much of the table, as far apart as that allows.
+    pub(super) fn spread(settings: &WorldSettings) -> Self {
+        let half_side_m = if settings.tray.is_some() { f64::INFINITY } else { super::MIDDLE_M };
+        Self { half_side_m, gaps_m: &[0.12, 0.09, 0.06, 0.03, 0.012, 0.006, 0.003] }
+    }
+}
+
 /// Places tried with each gap.
 const TRIES: usize = 300;
 /// How far above the table an object is let go, metres.
@@ -24,9 +39,10 @@ const CLEARANCE_M: f64 = 0.0005;
 pub(super) fn places(
     objects: &[Arc<Object>],
     settings: &WorldSettings,
+    spacing: Spacing,
     rng: &mut Xoshiro256PlusPlus,
 ) -> Vec<Option<Isometry3<f64>>> {
-    let mut half = [HALF_SIDE_M; 2];
+    let mut half = [spacing.half_side_m; 2];
     if let Some(tray) = &settings.tray {
         half = [half[0].min(tray.width_m / 2.0 - 0.005), half[1].min(tray.length_m / 2.0 - 0.005)];
     }
@@ -38,7 +54,7 @@ pub(super) fn places(
     let mut taken: Vec<Footprint> = Vec::new();
     let mut out = vec![None; objects.len()];
     for index in order {
-        let found = GAPS_M.iter().find_map(|&gap| {
+        let found = spacing.gaps_m.iter().find_map(|&gap| {
             (0..TRIES).find_map(|_| {
                 let yaw = rng.random_range(0.0..TAU);
                 let at = Vector2::from(half.map(|h: f64| rng.random_range(-1.0..1.0) * h));

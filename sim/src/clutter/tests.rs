@@ -36,6 +36,7 @@ fn settled_scenes_are_in_the_tray_and_stay() {
         (Arrangement::Pile, 12, 1),
         (Arrangement::Pile, 5, 2),
         (Arrangement::Packed, 12, 3),
+        (Arrangement::Spread, 6, 4),
         (Arrangement::Pile, 16, 28),
     ] {
         let mut world = arrange(&in_tray(), &assortment(count, seed), how, seed).unwrap();
@@ -59,7 +60,7 @@ fn settled_scenes_are_in_the_tray_and_stay() {
 
 #[test]
 fn the_same_seed_gives_the_same_poses_bit_for_bit() {
-    for how in [Arrangement::Pile, Arrangement::Packed] {
+    for how in [Arrangement::Pile, Arrangement::Packed, Arrangement::Spread] {
         let run = |seed| poses(&arrange(&in_tray(), &assortment(5, 2), how, seed).unwrap());
         let bits = |poses: Vec<Isometry3<f64>>| -> Vec<u64> {
             let numbers = poses.iter().flat_map(|p| {
@@ -93,6 +94,27 @@ fn packed_objects_stand_apart_and_upright() {
         assert!((pose.translation.z + low).abs() < 1e-3, "{} does not stand on the table", object.name);
         assert!(!is_outside(&world, id));
     }
+}
+
+#[test]
+fn spread_objects_use_the_whole_tray() {
+    let tray = Tray { width_m: 0.52, length_m: 0.52, ..Tray::default() };
+    let settings = WorldSettings { tray: Some(tray), ..WorldSettings::default() };
+    // Between the nearest two, and how far out they lie, as means over scenes.
+    let measure = |how| {
+        let (mut nearest, mut out) = (0.0, 0.0);
+        for seed in 1..=5 {
+            let world = arrange(&settings, &assortment(6, seed), how, seed).unwrap();
+            let at: Vec<_> = poses(&world).iter().map(|p| p.translation.vector.xy()).collect();
+            let pairs = (0..6).flat_map(|i| (0..i).map(move |k| (i, k)));
+            nearest += pairs.map(|(i, k)| (at[i] - at[k]).norm()).fold(f64::INFINITY, f64::min) / 5.0;
+            out += at.iter().map(|p| p.amax()).fold(0.0, f64::max) / 5.0;
+        }
+        (nearest, out)
+    };
+    let (packed, spread) = (measure(Arrangement::Packed), measure(Arrangement::Spread));
+    assert!(spread.0 > 0.12 && spread.0 > 1.5 * packed.0, "{packed:?} {spread:?}");
+    assert!(spread.1 > 0.15 && packed.1 < 0.14, "{packed:?} {spread:?}");
 }
 
 #[test]

@@ -25,7 +25,8 @@ impl Lead<'_> {
             trials: arm.trials,
         };
         let waiting = self.look.as_ref().map_or(0, |l| l.objects.iter().filter(|o| o.waits).count());
-        Table { rows: self.arms.iter().enumerate().map(row).collect(), looks: self.looks, waiting }
+        let rows = self.arms.iter().enumerate().map(row).collect();
+        Table { time_s: self.cell.clock.now_s() - self.began_s, rows, looks: self.looks, waiting }
     }
 
     pub(super) fn show(&mut self) {

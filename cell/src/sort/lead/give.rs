@@ -25,7 +25,7 @@ impl Lead<'_> {
         let (found, sides) = self.assignment(&look, &free);
         self.assign_s.push(began.elapsed().as_secs_f64());
         self.assignments += 1;
-        let time_s = self.began.elapsed().as_secs_f64();
+        let time_s = self.cell.clock.now_s() - self.began_s;
         let (mut records, mut picks) = (Vec::new(), Vec::new());
         for ((&arm, decision), side) in free.iter().zip(&found.decisions).zip(&sides) {
             let mut given = None;

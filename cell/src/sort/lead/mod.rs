@@ -174,6 +174,7 @@ pub async fn sort(
         looks_past_arms: 0,
         over_tray_s: vec![0.0; config.arms.len() + 1],
         counted_s: cell.clock.now_s(),
+        began_s: cell.clock.now_s(),
     };
     lead.run().await
 }
@@ -192,6 +193,8 @@ struct Lead<'a> {
     recorder: Option<SortRecorder>,
     record_trouble: Option<String>,
     began: Instant,
+    /// The same on the cell's clock, seconds.
+    began_s: f64,
     look: Option<Look>,
     looks: u32,
     /// Looks in a row from which nothing was given although something was seen.

@@ -94,6 +94,7 @@ impl Simulation {
 pub(super) enum ArrangementName {
     Pile,
     Packed,
+    Spread,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
@@ -163,6 +164,7 @@ pub(super) fn fill(simulation: &Simulation, sizes: Sizes, settings: &WorldSettin
     let how = match simulation.arrangement {
         ArrangementName::Pile => Arrangement::Pile,
         ArrangementName::Packed => Arrangement::Packed,
+        ArrangementName::Spread => Arrangement::Spread,
     };
     let objects = sizes.draw(count, |round| simulation.seed.wrapping_add(round << 32));
     anyhow::ensure!(

@@ -60,7 +60,7 @@ impl Progress {
                 other => other.to_string(),
             };
             if now != *last {
-                lines.push(format!("{:<12} {now}", row.arm));
+                lines.push(format!("{:6.1} s  {:<12} {now}", table.time_s, row.arm));
                 *last = now;
             }
         }
@@ -79,8 +79,9 @@ impl SortObserver for Progress {
                     let Some(given) = &record.given else { continue };
                     let [score, size, reach] = given.factors;
                     self.line(&format!(
-                        "{:<12} is given object {} ({:.0} mm, {}): {:.2} = score {score:.2} × size {size:.2} × reach \
+                        "{:6.1} s  {:<12} is given object {} ({:.0} mm, {}): {:.2} = score {score:.2} × size {size:.2} × reach \
                          {reach:.2}; {}",
+                        record.time_s,
                         record.arm,
                         given.object,
                         1e3 * given.width_m,
