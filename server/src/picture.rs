@@ -1,6 +1,8 @@
 //! A call, or a frame of a servo stream, as viewers show it: depth, lens and place of each camera, its points, grasps
 //! and the hand that takes the best of them. The same messages for recordings and for the live view.
 
+mod cloud;
+
 use std::sync::Arc;
 
 use graspd_hands::{CollisionShape, Hand, Shape};
@@ -9,7 +11,7 @@ use graspd_proto::v1;
 use graspd_proto::v1::hand_task_result::Outcome;
 use graspd_proto::v1::plan_record::Request;
 use graspd_recording::{Bundle, SERVO_TOPIC, STATS_TOPIC, Schema, foxglove};
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::convert::EncodedFrame;
 
@@ -57,6 +59,7 @@ pub(crate) fn draw_call(bundle: &mut Bundle, record: v1::PlanRecord, hands: &[Ar
         };
         poses(bundle, topic("poses"), &shown);
         scene(bundle, topic("scene"), &shown);
+        cloud::cloud(bundle, topic("points"), &shown);
     }
 }
 
@@ -74,6 +77,7 @@ pub(crate) fn draw_servo(
     let shown = Shown { world, plan_id: "", hand: Some(hand), grasps };
     poses(bundle, "/servo/poses".to_owned(), &shown);
     scene(bundle, "/servo/scene".to_owned(), &shown);
+    cloud::cloud(bundle, "/servo/points".to_owned(), &shown);
 }
 
 /// Grasps, best first, and what they are shown with.
@@ -145,17 +149,13 @@ fn camera(bundle: &mut Bundle, base: &str, encoded: &EncodedFrame, has_raw: bool
             data: image.depth_m.iter().flat_map(|d| d.to_le_bytes()).collect::<Vec<u8>>().into(),
         });
     }
-    let field = |name: &str, offset| foxglove::PackedElementField {
-        name: name.to_owned(),
-        offset,
-        r#type: foxglove::packed_element_field::NumericType::Float32.into(),
-    };
+    let float = foxglove::packed_element_field::NumericType::Float32;
     bundle.add(topic("points"), Schema::PointCloud, || foxglove::PointCloud {
         timestamp,
         frame_id: frame_id.clone(),
         pose: Some(pose_message(&Isometry3::identity())),
         point_stride: 12,
-        fields: vec![field("x", 0), field("y", 4), field("z", 8)],
+        fields: vec![field("x", 0, float), field("y", 4, float), field("z", 8, float)],
         data: points(&frame),
     });
 }
@@ -227,29 +227,23 @@ fn scene_update(timestamp: prost_types::Timestamp, shown: &Shown<'_>) -> foxglov
     };
     let mut entities = Vec::new();
     let mut arrows = entity("grasps");
-    let best_score = shown.grasps.first().map_or(1.0, |g| g.uncalibrated_score).max(1e-9);
     arrows.metadata = vec![pair("plan_id", shown.plan_id)];
     // The worst first: the best is drawn over it.
     for (i, grasp) in shown.grasps.iter().enumerate().rev() {
         let Some(world_from_hand) = placed(grasp.wrist_pose.as_ref()) else { continue };
-        let approach = hand.map_or(Vector3::z_axis(), |hand| hand.approach);
-        let tool = hand.map_or(Vector3::zeros(), |hand| hand.tool_point.coords);
-        let length = 0.06;
-        let tip = world_from_hand * nalgebra::Point3::from(tool);
-        let direction = world_from_hand.rotation * approach.into_inner();
+        let (tip, direction, length) = approach_line(&world_from_hand, hand);
         // An arrow points along its own x.
         let turn = UnitQuaternion::rotation_between(&Vector3::x(), &direction);
         let turn =
             turn.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
         let pose = Isometry3::from_parts(Translation3::from(tip.coords - direction * length), turn);
-        let share = (grasp.uncalibrated_score / best_score).clamp(0.0, 1.0);
         arrows.arrows.push(foxglove::ArrowPrimitive {
             pose: Some(pose_message(&pose)),
             shaft_length: length - 0.015,
             shaft_diameter: if i == 0 { 0.006 } else { 0.003 },
             head_length: 0.015,
             head_diameter: if i == 0 { 0.014 } else { 0.008 },
-            color: Some(foxglove::Color { r: 1.0 - share, g: 0.3 + 0.6 * share, b: 0.15, a: 0.9 }),
+            color: Some(score_color(grasp, shown.grasps)),
         });
         arrows.metadata.push(pair(&format!("score[{i}]"), &format!("{:.4}", grasp.score)));
     }
@@ -290,18 +284,8 @@ fn hand_shapes(
     joints: &[f64],
     color: &foxglove::Color,
 ) {
-    let triangles = |shapes: &[CollisionShape]| -> usize {
-        shapes
-            .iter()
-            .map(|s| if let Shape::Mesh { triangles, .. } = &s.shape { triangles.len() } else { 0 })
-            .sum()
-    };
-    let shapes = match hand.visuals.is_empty() || triangles(&hand.visuals) > MOST_TRIANGLES {
-        true => &hand.collision,
-        false => &hand.visuals,
-    };
     let bodies = hand.tree.body_poses(joints);
-    for shape in shapes {
+    for shape in shapes(hand) {
         let Some(link) = hand.tree.links.get(shape.link) else { continue };
         let Some(body) = bodies.get(link.body) else { continue };
         let pose = world_from_hand * body * link.body_from_link * shape.link_from_shape;
@@ -332,6 +316,40 @@ fn hand_shapes(
             }
         }
     }
+}
+
+/// What a hand is drawn with.
+fn shapes(hand: &Hand) -> &[CollisionShape] {
+    let triangles = |shape: &CollisionShape| match &shape.shape {
+        Shape::Mesh { triangles, .. } => triangles.len(),
+        _ => 0,
+    };
+    match hand.visuals.is_empty() || hand.visuals.iter().map(triangles).sum::<usize>() > MOST_TRIANGLES {
+        true => &hand.collision,
+        false => &hand.visuals,
+    }
+}
+
+/// A grasp as a line: where the tool point is, the way it came, and how long it is drawn, metres.
+fn approach_line(world_from_hand: &Isometry3<f64>, hand: Option<&Hand>) -> (Point3<f64>, Vector3<f64>, f64) {
+    let approach = hand.map_or(Vector3::z_axis(), |hand| hand.approach);
+    let tool = hand.map_or(Vector3::zeros(), |hand| hand.tool_point.coords);
+    (world_from_hand * Point3::from(tool), world_from_hand.rotation * approach.into_inner(), 0.06)
+}
+
+/// Green for the best, red for nothing.
+fn score_color(grasp: &v1::Grasp, all: &[v1::Grasp]) -> foxglove::Color {
+    let best = all.first().map_or(1.0, |g| g.uncalibrated_score).max(1e-9);
+    let share = (grasp.uncalibrated_score / best).clamp(0.0, 1.0);
+    foxglove::Color { r: 1.0 - share, g: 0.3 + 0.6 * share, b: 0.15, a: 0.9 }
+}
+
+fn field(
+    name: &str,
+    offset: u32,
+    kind: foxglove::packed_element_field::NumericType,
+) -> foxglove::PackedElementField {
+    foxglove::PackedElementField { name: name.to_owned(), offset, r#type: kind.into() }
 }
 
 /// The frame that an answer's poses are in.

@@ -123,7 +123,7 @@ async def main():
         base = ["/camera/0/depth", "/camera/0/calibration", "/camera/0/points", "/tf", "/graspd/stats", "/graspd/plan"]
         # What was planned before this viewer came.
         expected = json.loads(first.read_text())
-        await viewer.until([*base, "/grasps/poses", "/grasps/scene"])
+        await viewer.until([*base, "/grasps/poses", "/grasps/scene", "/grasps/points"])
         time_ns, poses = viewer.messages["/grasps/poses"]
         same(poses_of(poses), expected["poses"])
         assert poses.frame_id == expected["frame_id"], (poses.frame_id, expected["frame_id"])
@@ -155,7 +155,8 @@ async def main():
         assert "/grasps/poses" not in viewer.messages
 
         print("looking at the servo", flush=True)
-        servo = [f"/servo/{t}" for t in ("camera/depth", "camera/calibration", "camera/points", "poses", "scene", "answer")]
+        seen = ("camera/depth", "camera/calibration", "camera/points", "poses", "scene", "points", "answer")
+        servo = [f"/servo/{t}" for t in seen]
         await viewer.until(servo)
         while not third.exists():
             await asyncio.sleep(0.05)

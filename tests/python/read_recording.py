@@ -68,6 +68,15 @@ def main():
                     assert decoded.step == decoded.width * pixel
                     assert len(decoded.data) == decoded.step * decoded.height
                     frames.add(decoded.frame_id)
+                elif schema.name == "foxglove.PointCloud" and channel.topic.startswith("/grasps/"):
+                    names = [f.name for f in decoded.fields]
+                    assert names == ["x", "y", "z", "red", "green", "blue", "alpha"], names
+                    assert decoded.point_stride == 16 and len(decoded.data) % 16 == 0
+                    points = list(struct.iter_unpack("<fff4B", decoded.data))
+                    # The hand is blue; lines of grasps are green to red, contacts yellow.
+                    hand = [p for p in points if p[5] > p[3]]
+                    assert not points or 500 < len(hand) <= 6000, (len(points), len(hand))
+                    assert all(abs(v) < 2 for p in points for v in p[:3])
                 elif schema.name == "foxglove.PointCloud":
                     assert decoded.point_stride == 12 and [f.name for f in decoded.fields] == ["x", "y", "z"]
                     points = list(struct.iter_unpack("<fff", decoded.data))
@@ -90,7 +99,7 @@ def main():
     assert topics.get("/graspd/outcomes", 0) == outcomes, topics
     for topic in ["/camera/0/depth", "/camera/0/calibration", "/camera/0/points"]:
         assert topics[topic] == calls, topics
-    for topic in ["/tf", "/grasps/poses", "/grasps/scene", "/graspd/stats", "/grasps/left_arm/scene"]:
+    for topic in ["/tf", "/grasps/poses", "/grasps/scene", "/grasps/points", "/graspd/stats", "/grasps/left_arm/scene"]:
         assert topics[topic] > 0, topics
     assert seen_official >= set(OFFICIAL), seen_official
     print("all checks passed", topics)

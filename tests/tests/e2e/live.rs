@@ -171,7 +171,7 @@ async fn viewers_change_nothing_of_what_is_answered_and_are_counted() {
         let words: Value = serde_json::from_str(&words).unwrap();
         channels = words["channels"].as_array().map_or(0, Vec::len);
     }
-    assert_eq!(channels, 8);
+    assert_eq!(channels, 9);
     let (_, text) = crate::telemetry::get(server.metrics.unwrap(), "/metrics").await;
     for line in ["graspd_live_clients 1", "graspd_live_total{outcome=\"picture_drawn\"} 0"] {
         assert!(text.contains(line), "{line} in\n{text}");
