@@ -30,6 +30,11 @@ use commands::{device, emulate};
 #[cfg(feature = "nats")]
 use commands::{lease, worker};
 
+/// Volumes of some megabytes come and go with every plan, on many threads: the C library's allocator keeps them in each thread's
+/// arena, so that a server that is under load for long has several times the memory that it needs.
+#[global_allocator]
+static MEMORY: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Ranked grasps for any robotic hand from one depth frame, over gRPC.
 #[derive(Debug, Parser)]
 #[command(name = "graspd", version, propagate_version = true)]

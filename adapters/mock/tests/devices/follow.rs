@@ -33,7 +33,8 @@ async fn the_newest_pose_is_followed_while_others_let_time_go_by_and_the_end_is_
         assert!(apart(&there.world_from_flange, &last) < 1e-3);
         drop(lead);
     };
-    let (followed, ()) = tokio::join!(arm.follow(goals, LIMITS, SECOND, TEN), leading);
+    // On a busy machine a pose may come later than a second after the last.
+    let (followed, ()) = tokio::join!(arm.follow(goals, LIMITS, TEN, TEN), leading);
     followed.unwrap();
     assert_eq!(arm.state(SECOND).await.unwrap().mode, ArmMode::Ready);
 }
