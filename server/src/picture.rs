@@ -284,14 +284,10 @@ fn hand_shapes(
     joints: &[f64],
     color: &foxglove::Color,
 ) {
-    let bodies = hand.tree.body_poses(joints);
-    for shape in shapes(hand) {
-        let Some(link) = hand.tree.links.get(shape.link) else { continue };
-        let Some(body) = bodies.get(link.body) else { continue };
-        let pose = world_from_hand * body * link.body_from_link * shape.link_from_shape;
+    for (shape, pose) in placed_shapes(hand, world_from_hand, joints) {
         let (pose, color) = (Some(pose_message(&pose)), Some(*color));
         let size = |x: f64, y: f64, z: f64| Some(foxglove::Vector3 { x: 2.0 * x, y: 2.0 * y, z: 2.0 * z });
-        match &shape.shape {
+        match shape {
             Shape::Box { half_extents: h } => {
                 entity.cubes.push(foxglove::CubePrimitive { pose, size: size(h.x, h.y, h.z), color });
             }
@@ -328,6 +324,20 @@ fn shapes(hand: &Hand) -> &[CollisionShape] {
         true => &hand.collision,
         false => &hand.visuals,
     }
+}
+
+/// What a hand in a posture is drawn with, each shape with its pose in the world.
+fn placed_shapes<'a>(
+    hand: &'a Hand,
+    world_from_hand: &Isometry3<f64>,
+    joints: &[f64],
+) -> impl Iterator<Item = (&'a Shape, Isometry3<f64>)> {
+    let (bodies, world_from_hand) = (hand.tree.body_poses(joints), *world_from_hand);
+    shapes(hand).iter().filter_map(move |shape| {
+        let link = hand.tree.links.get(shape.link)?;
+        let body = bodies.get(link.body)?;
+        Some((&shape.shape, world_from_hand * body * link.body_from_link * shape.link_from_shape))
+    })
 }
 
 /// A grasp as a line: where the tool point is, the way it came, and how long it is drawn, metres.

@@ -1,10 +1,11 @@
 //! Grasps as a cloud of coloured points, for viewers that draw no scene entities, as Rerun.
 
-use graspd_hands::Hand;
 use graspd_recording::{Bundle, Schema, foxglove};
 use nalgebra::{Isometry3, Point3};
 
-use super::{AT_CONTACT, CONTACT, Shown, approach_line, field, placed, pose_message, score_color, shapes};
+use super::{
+    AT_CONTACT, CONTACT, Shown, approach_line, field, placed, placed_shapes, pose_message, score_color,
+};
 
 /// Distance between points of a hand, metres.
 const SPACING_M: f64 = 0.004;
@@ -62,22 +63,12 @@ fn points(shown: &Shown<'_>) -> Vec<u8> {
     if let (Some(hand), Some(pose)) = (shown.hand, placed(best.wrist_pose.as_ref()))
         && joints.len() == hand.tree.joints.len()
     {
-        let all = surface(hand, &pose, joints);
+        let shapes = placed_shapes(hand, &pose, joints);
+        let all: Vec<_> = shapes
+            .flat_map(|(shape, pose)| shape.surface(SPACING_M).into_iter().map(move |p| pose * p))
+            .collect();
         let step = all.len().div_ceil(MOST_POINTS).max(1);
         all.into_iter().step_by(step).for_each(|p| put(p, &AT_CONTACT));
     }
     data
-}
-
-/// Points on the outside of a hand, world frame.
-fn surface(hand: &Hand, world_from_hand: &Isometry3<f64>, joints: &[f64]) -> Vec<Point3<f64>> {
-    let bodies = hand.tree.body_poses(joints);
-    let mut out = Vec::new();
-    for shape in shapes(hand) {
-        let Some(link) = hand.tree.links.get(shape.link) else { continue };
-        let Some(body) = bodies.get(link.body) else { continue };
-        let pose = world_from_hand * body * link.body_from_link * shape.link_from_shape;
-        out.extend(shape.shape.surface(SPACING_M).iter().map(|p| pose * p));
-    }
-    out
 }

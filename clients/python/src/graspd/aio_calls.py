@@ -52,7 +52,7 @@ class Ending:
     """The status with which a stream ended, as it first came.
 
     A write that meets a stream which the server has ended overwrites the server's status with INTERNAL in grpc.aio
-    (grpc/grpc issue 36066), so it is read in the moment in which it comes.
+    (grpc/grpc#36066), so it is read in the moment in which it comes.
     """
 
     def __init__(self, call: Any) -> None:
