@@ -13,6 +13,7 @@ import pytest
 
 import graspd
 import graspd.aio
+from graspd.aio_calls import within
 from graspd.poses import Array
 from tests.conftest import Server
 
@@ -197,13 +198,38 @@ def test_asyncio_ends(server: Server, frame: graspd.DepthFrame) -> None:
                 with pytest.raises(graspd.DeadlineExceededError):
                     await anext(servo)
             async with planner.servo("robotiq-2f85", options=QUICK, answer_timeout=PATIENT) as servo:
-                task = asyncio.create_task(servo.step(frame))
+                await servo.step(at(frame, 1))
+                # No other frame was sent: this waits.
+                task = asyncio.ensure_future(anext(servo))
                 await asyncio.sleep(0.05)
                 task.cancel()
                 with pytest.raises(asyncio.CancelledError):
                     await task
+                with pytest.raises(graspd.GraspdError, match="has ended"):
+                    await servo.send(at(frame, 2))
 
     asyncio.run(ends())
+
+
+def test_a_cancellation_that_comes_with_the_answer_counts() -> None:
+    async def body() -> None:
+        for error in (None, ValueError("nobody asks")):
+            answer: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+            task = asyncio.ensure_future(within(PATIENT, answer))
+            await asyncio.sleep(0)
+            await asyncio.sleep(0)
+            if error is None:
+                answer.set_result(1)
+            else:
+                answer.set_exception(error)
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+        with pytest.raises(asyncio.TimeoutError):
+            await within(0.01, asyncio.sleep(PATIENT))
+        assert await within(PATIENT, asyncio.sleep(0, "in time")) == "in time"
+
+    asyncio.run(body())
 
 
 def test_outcomes_are_reported(frame: graspd.DepthFrame, tmp_path_factory: pytest.TempPathFactory) -> None:

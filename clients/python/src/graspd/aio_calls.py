@@ -48,6 +48,26 @@ async def result(call: Awaitable[_T]) -> _T:
         raise from_status(error.code(), error.details(), error.trailing_metadata()) from None
 
 
+async def within(seconds: float, awaited: Awaitable[_T]) -> _T:
+    """`asyncio.wait_for`, which before Python 3.12 loses a cancellation that comes together with the result."""
+    task = asyncio.ensure_future(awaited)
+    try:
+        done, _ = await asyncio.wait({task}, timeout=seconds)
+    except asyncio.CancelledError:
+        _drop(task)
+        raise
+    if not done:
+        _drop(task)
+        raise asyncio.TimeoutError
+    return task.result()
+
+
+def _drop(task: asyncio.Future[Any]) -> None:
+    """Nobody waits for it any more: neither its result nor its error is wanted."""
+    task.cancel()
+    task.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
+
+
 class Ending:
     """The status with which a stream ended, as it first came.
 

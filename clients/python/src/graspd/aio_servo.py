@@ -10,7 +10,7 @@ from typing import Any
 import grpc
 import grpc.aio
 
-from graspd.aio_calls import Ending
+from graspd.aio_calls import Ending, within
 from graspd.errors import GraspdError, late
 from graspd.frames import DepthFrame
 from graspd.servo import HandPosture, Numbers, ServoAnswer, answer_from_wire
@@ -70,7 +70,7 @@ class AsyncServo:
         if self._ended:
             raise StopAsyncIteration
         try:
-            message = await asyncio.wait_for(self._ending.result(self._call.read()), self._answer_timeout)
+            message = await within(self._answer_timeout, self._ending.result(self._call.read()))
             if message is grpc.aio.EOF:
                 raise StopAsyncIteration
             return answer_from_wire(message)
