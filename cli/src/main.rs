@@ -11,6 +11,7 @@ mod estimators;
 mod hand_source;
 mod input;
 mod local;
+mod memory;
 mod outcome;
 mod output;
 mod remote;
@@ -29,11 +30,6 @@ use commands::{cell, dataset, eval};
 use commands::{device, emulate};
 #[cfg(feature = "nats")]
 use commands::{lease, worker};
-
-/// Volumes of some megabytes come and go with every plan, on many threads: the C library's allocator keeps them in each thread's
-/// arena, so that a server that is under load for long has several times the memory that it needs.
-#[global_allocator]
-static MEMORY: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Ranked grasps for any robotic hand from one depth frame, over gRPC.
 #[derive(Debug, Parser)]
@@ -85,6 +81,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    memory::keep();
     #[cfg(all(feature = "devices", target_feature = "crt-static"))]
     graspd_adapters_core::library::program_is_static();
     let cli = Cli::parse();

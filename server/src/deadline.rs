@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use graspd_planner::budget::{Budget, Stop};
 use tonic::codegen::http::HeaderMap;
 
+use crate::give_way::give_way;
 use crate::trace::TraceContext;
 
 /// At most this much of a call's time is kept back for ranking, encoding and sending.
@@ -160,6 +161,17 @@ impl CallBudget {
         Self { deadline, ..self.clone() }
     }
 
+    /// What [`Budget::stop`] says, for who holds a lock.
+    pub(crate) fn ended(&self) -> Option<Stop> {
+        if self.cancelled.is_set() || self.aborted.load(Ordering::Relaxed) {
+            return Some(Stop::Cancelled);
+        }
+        match self.deadline {
+            Some(deadline) if Instant::now() >= deadline => Some(Stop::Deadline),
+            _ => None,
+        }
+    }
+
     /// When the call arrived.
     pub fn start(&self) -> Instant {
         self.start
@@ -198,13 +210,8 @@ impl Budget for CallBudget {
     }
 
     fn stop(&self) -> Option<Stop> {
-        if self.cancelled.is_set() || self.aborted.load(Ordering::Relaxed) {
-            return Some(Stop::Cancelled);
-        }
-        match self.deadline {
-            Some(deadline) if Instant::now() >= deadline => Some(Stop::Deadline),
-            _ => None,
-        }
+        give_way();
+        self.ended()
     }
 
     fn remaining(&self) -> Option<Duration> {

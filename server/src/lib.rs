@@ -21,6 +21,7 @@ mod convert;
 mod deadline;
 mod engine;
 mod estimates;
+mod give_way;
 mod health;
 mod http;
 mod live;

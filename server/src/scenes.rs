@@ -17,6 +17,7 @@ use graspd_planner::estimator::ContactEstimator;
 use crate::convert::SceneRequest;
 use crate::deadline::CallBudget;
 use crate::engine::ReadScene;
+use crate::give_way::give_way;
 use crate::pool::{Gate, Look};
 
 /// Scenes that calls need now.
@@ -180,13 +181,14 @@ impl Budget for Reading {
     }
 
     fn stop(&self) -> Option<Stop> {
+        give_way();
         if let Some(ended) = self.ended.get() {
             return Some(*ended);
         }
         let wanted = self.scene.wanted.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = Some(Stop::Cancelled);
         for budget in wanted.iter() {
-            match budget.stop() {
+            match budget.ended() {
                 None => return None,
                 Some(Stop::Deadline) => all = Some(Stop::Deadline),
                 Some(Stop::Cancelled) => {}

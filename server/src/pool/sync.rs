@@ -29,7 +29,12 @@ impl Cores {
     /// What the system said.
     pub(super) fn start(slot: usize, threads: usize, nice: u8) -> Result<Self, CoresError> {
         let builder = rayon::ThreadPoolBuilder::new().num_threads(threads.max(1));
-        let builder = builder.start_handler(move |_| be_nicer(nice));
+        let builder = builder.start_handler(move |_| {
+            be_nicer(nice);
+            if nice > 0 {
+                crate::give_way::begin();
+            }
+        });
         builder.thread_name(move |i| format!("plan-{slot}-{i}")).build().map(Self)
     }
 
