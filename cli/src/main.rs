@@ -104,6 +104,7 @@ fn main() -> ExitCode {
         LogFormat::Text => lines.init(),
         LogFormat::Json => lines.json().flatten_event(true).with_span_list(false).init(),
     }
+    memory::give_back_now_and_then();
     let result = match &cli.command {
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "nats")]
