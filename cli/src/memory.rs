@@ -41,6 +41,7 @@ pub(crate) fn give_back_now_and_then() {
         return;
     }
     let started = thread::Builder::new().name("memory".to_owned()).spawn(|| {
+        // Where it is refused, others wait for this thread for some milliseconds once a minute.
         #[cfg(target_os = "linux")]
         rustix::process::setpriority_process(None, NICE).ok();
         loop {
@@ -55,8 +56,8 @@ pub(crate) fn give_back_now_and_then() {
 
 /// Hands back what nobody uses.
 fn give_back() {
-    // SAFETY: of all of mimalloc's functions it says that they may be called on any thread at any time; this one frees
-    // nothing that is in use.
+    // SAFETY: works on this thread's own heap and on what is free in what all threads share, whose bitmaps are atomic; nothing
+    // that is in use is touched.
     #[allow(unsafe_code)]
     unsafe {
         libmimalloc_sys::mi_collect(true);
@@ -82,16 +83,17 @@ mod tests {
     #[cfg(target_os = "linux")]
     const VOLUMES: usize = 32;
 
-    /// Resident pages.
+    /// Resident memory: in kibibytes there, however large pages are.
     #[cfg(target_os = "linux")]
     fn resident_bytes() -> usize {
-        let pages = std::fs::read_to_string("/proc/self/statm").unwrap();
-        pages.split(' ').nth(1).unwrap().parse::<usize>().unwrap() * 4096
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+        line.split_whitespace().nth(1).unwrap().parse::<usize>().unwrap() * 1024
     }
 
     /// A process of its own, in which nothing else runs beside it.
     #[test]
-    #[ignore = "run by the tests below"]
+    #[ignore = "run by the test below"]
     fn in_a_process_of_its_own() {
         let before = purge_delay();
         keep();
