@@ -22,9 +22,9 @@ fn main() {
 
 fn observed() -> (Frame, Vec<f32>, Workspace, Volume) {
     let frame = look_at(&ten_objects());
-    let depth = clean_depth(&frame.image, &CleanOptions::default());
+    let depth = clean_depth(&frame.image, &CleanOptions::default(), &Unlimited);
     let request = SceneOptions::default().workspace;
-    let workspace = Workspace::place(&request, Grid::default(), &frame_points(&frame, &depth));
+    let workspace = Workspace::place(&request, Grid::default(), &frame_points(&frame, &depth, &Unlimited));
     let mut volume = Volume::empty(workspace.grid, workspace.table_m);
     volume.integrate(&frame, &depth, &camera_from_volume(&frame, &workspace));
     (frame, depth, workspace, volume)
@@ -40,8 +40,8 @@ fn frame_stage(bencher: Bencher) {
     let frame = look_at(&ten_objects());
     let request = SceneOptions::default().workspace;
     bencher.bench(|| {
-        let depth = clean_depth(&frame.image, &CleanOptions::default());
-        Workspace::place(&request, Grid::default(), &frame_points(&frame, &depth))
+        let depth = clean_depth(&frame.image, &CleanOptions::default(), &Unlimited);
+        Workspace::place(&request, Grid::default(), &frame_points(&frame, &depth, &Unlimited))
     });
 }
 

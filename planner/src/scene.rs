@@ -229,10 +229,10 @@ fn place(frames: &[Frame], options: &SceneOptions, budget: &dyn Budget) -> Resul
     validate(options)?;
     let mut depths = Vec::with_capacity(frames.len());
     for frame in frames {
-        depths.push(clean_depth(&frame.image, &CleanOptions::of_lens(&frame.intrinsics)));
+        depths.push(clean_depth(&frame.image, &CleanOptions::of_lens(&frame.intrinsics), budget));
         goes_on()?;
     }
-    let points = frame_points(first, &depths[0]);
+    let points = frame_points(first, &depths[0], budget);
     goes_on()?;
     let workspace = Workspace::place(&options.workspace, options.grid, &points);
     Ok(Placed { depths, points, workspace })

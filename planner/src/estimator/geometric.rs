@@ -81,9 +81,9 @@ impl ContactEstimator for Geometric {
         budget.check()?;
         let occupied: Vec<f32> = group.iter().map(|&g| if g > 0 { 1.0 } else { 0.0 }).collect();
         budget.check()?;
-        let once = smooth(&grid, &occupied, &region);
+        let once = smooth(&grid, &occupied, &region, budget);
         budget.check()?;
-        let density = smooth(&grid, &once, &region);
+        let density = smooth(&grid, &once, &region, budget);
         budget.check()?;
         let floor = volume.table_layer();
         let body = Body { grid: &grid, group: &group, solid, state: &volume.state, density: &density, floor };
@@ -100,9 +100,9 @@ impl ContactEstimator for Geometric {
             }
         }
         budget.check()?;
-        let once = smooth(&grid, &votes, &region);
+        let once = smooth(&grid, &votes, &region, budget);
         budget.check()?;
-        let votes = smooth(&grid, &once, &region);
+        let votes = smooth(&grid, &once, &region, budget);
         budget.check()?;
         field.centroid = normalized(&grid, &votes, &extents, Peaks::CHORDS);
         Ok(field)

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::budget::Budget;
 use crate::grid::Grid;
 
 /// 1 4 6 4 1 over 16.
@@ -32,8 +33,9 @@ impl Region {
 
 /// Smooths `values` (memory order) along x, y and z: a Gaussian of one voxel's standard deviation, nearly.
 ///
-/// Only voxels of `region` are read and written; the result is zero elsewhere.
-pub(super) fn smooth(grid: &Grid, values: &[f32], region: &Region) -> Vec<f32> {
+/// Only voxels of `region` are read and written; the result is zero elsewhere. The budget is looked at in every slab;
+/// when it ends the other slabs stay zero: the caller looks at it next.
+pub(super) fn smooth(grid: &Grid, values: &[f32], region: &Region, budget: &dyn Budget) -> Vec<f32> {
     let n = grid.resolution;
     let slab = n * n;
     let Region([xs, ys, zs]) = region;
@@ -49,6 +51,9 @@ pub(super) fn smooth(grid: &Grid, values: &[f32], region: &Region) -> Vec<f32> {
         .for_each_init(
             || vec![0.0f32; slab],
             |along_z, (_, (out, values))| {
+                if budget.stop().is_some() {
+                    return;
+                }
                 for y in ys.clone() {
                     tap_line(&mut along_z[line(0, y)], &values[line(0, y)]);
                 }
@@ -59,6 +64,9 @@ pub(super) fn smooth(grid: &Grid, values: &[f32], region: &Region) -> Vec<f32> {
         );
     let mut smoothed = vec![0.0f32; values.len()];
     smoothed.par_chunks_mut(slab).enumerate().skip(xs.start).take(xs.len()).for_each(|(x, out)| {
+        if budget.stop().is_some() {
+            return;
+        }
         for y in ys.clone() {
             tap_rows(&mut out[line(0, y)], x, xs, |x| &within[line(x * slab, y)]);
         }
@@ -94,6 +102,7 @@ fn tap_rows<'a>(out: &mut [f32], at: usize, range: &Range<usize>, row: impl Fn(u
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::budget::Unlimited;
 
     #[test]
     fn spreads_a_point_by_the_product_of_taps_and_cuts_at_the_border() {
@@ -104,7 +113,7 @@ mod tests {
             Region::around(&grid, &values.iter().map(|&v| u16::from(v > 0.0)).collect::<Vec<_>>(), 2)
                 .unwrap();
         assert_eq!(region, Region([2..7, 2..7, 0..4]));
-        let out = smooth(&grid, &values, &region);
+        let out = smooth(&grid, &values, &region, &Unlimited);
         assert!((out[grid.index(4, 4, 1)] - 0.375f32.powi(3)).abs() < 1e-7);
         assert!((out[grid.index(5, 2, 0)] - 0.25 * 0.0625 * 0.25).abs() < 1e-7);
         assert!((out.iter().sum::<f32>() - 0.9375).abs() < 1e-5);

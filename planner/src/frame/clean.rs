@@ -8,6 +8,7 @@
 use rayon::prelude::*;
 
 use super::{DepthImage, Intrinsics};
+use crate::budget::Budget;
 
 /// Depths beyond this are no measurement of a workspace, metres.
 pub const MAX_DEPTH_M: f32 = 10.0;
@@ -61,15 +62,17 @@ fn similar(a: f32, b: f32) -> bool {
 
 /// Depth in metres, row major, 0 where there is none: NaN, infinities, values ≤ 0 or above [`MAX_DEPTH_M`]
 /// are holes; flying pixels are removed, then small holes are filled.
-pub fn clean_depth(image: &DepthImage, options: &CleanOptions) -> Vec<f32> {
+///
+/// The budget is looked at in every row. When it ends the rest stays as it is: the caller looks at it next.
+pub fn clean_depth(image: &DepthImage, options: &CleanOptions, budget: &dyn Budget) -> Vec<f32> {
     let width = image.width;
     let mut depth: Vec<f32> =
         image.depth_m.par_iter().map(|&d| if d > 0.0 && d <= MAX_DEPTH_M { d } else { 0.0 }).collect();
     if options.drop_flying {
-        depth = without_flying(&depth, width, options);
+        depth = without_flying(&depth, width, options, budget);
     }
     if options.fill_gap_px > 0 && depth.contains(&0.0) {
-        fill_gaps(&mut depth, width, options);
+        fill_gaps(&mut depth, width, options, budget);
     }
     depth
 }
@@ -78,12 +81,15 @@ pub fn clean_depth(image: &DepthImage, options: &CleanOptions) -> Vec<f32> {
 /// there are clearly nearer and clearly further ones, and no more than [`FLYING_FRIENDS`] of its own depth. The edge
 /// pixels of an object are kept, as nothing around them is nearer, and so are steep surfaces, which go on to both
 /// sides. A pixel that no neighbour supports and most contradict is noise.
-fn without_flying(depth: &[f32], width: usize, options: &CleanOptions) -> Vec<f32> {
+fn without_flying(depth: &[f32], width: usize, options: &CleanOptions, budget: &dyn Budget) -> Vec<f32> {
     let height = depth.len() / width;
     let mut out = depth.to_vec();
     out.par_chunks_mut(width).enumerate().for_each_init(
         || vec![false; width],
         |suspect, (row, out)| {
+            if budget.stop().is_some() {
+                return;
+            }
             let line = |row: usize| &depth[row * width..(row + 1) * width];
             let here = line(row);
             let (above, below) = (line(row.max(1) - 1), line((row + 1).min(height - 1)));
@@ -145,13 +151,16 @@ fn suspects(suspect: &mut [bool], here: &[f32], above: &[f32], below: &[f32], op
 }
 
 /// Fills rows first, then, from what was measured (not from what was filled), columns.
-fn fill_gaps(depth: &mut [f32], width: usize, options: &CleanOptions) {
+fn fill_gaps(depth: &mut [f32], width: usize, options: &CleanOptions, budget: &dyn Budget) {
     let gap_px = options.fill_gap_px;
     let height = depth.len() / width;
     // Column gaps are found on the measurements, before rows are filled.
     let mut fills: Vec<(usize, f32)> = Vec::new();
     let mut last = vec![usize::MAX; width];
     for row in 0..height {
+        if budget.stop().is_some() {
+            return;
+        }
         for column in 0..width {
             let d = depth[row * width + column];
             if d <= 0.0 {
@@ -204,11 +213,12 @@ fn fill_gaps(depth: &mut [f32], width: usize, options: &CleanOptions) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::budget::Unlimited;
     use proptest::prelude::*;
 
     fn clean(width: usize, depth_m: Vec<f32>) -> Vec<f32> {
         let height = depth_m.len() / width;
-        clean_depth(&DepthImage { width, height, depth_m }, &CleanOptions::default())
+        clean_depth(&DepthImage { width, height, depth_m }, &CleanOptions::default(), &Unlimited)
     }
 
     #[test]
@@ -268,7 +278,7 @@ mod tests {
     #[test]
     fn a_band_of_flying_pixels_around_a_box_is_removed() {
         let (width, depth, flies) = box_with_flying_pixels();
-        let out = without_flying(&depth, width, &CleanOptions::default());
+        let out = without_flying(&depth, width, &CleanOptions::default(), &Unlimited);
         // What is left must lie on the box or on the table, nearly.
         let hangs = |d: f32| (0.68..0.74).contains(&d);
         let before = depth.iter().filter(|&&d| hangs(d)).count();
@@ -282,16 +292,16 @@ mod tests {
     fn a_lone_pixel_goes_and_thin_and_steep_surfaces_stay() {
         let mut lone = vec![0.75; 49];
         lone[24] = 0.70;
-        assert_eq!(without_flying(&lone, 7, &CleanOptions::default())[24], 0.0);
+        assert_eq!(without_flying(&lone, 7, &CleanOptions::default(), &Unlimited)[24], 0.0);
         // A rod one pixel wide before the table, and its end.
         let rod: Vec<f32> = (0..49).map(|i| if i % 7 == 3 && i < 35 { 0.70 } else { 0.75 }).collect();
-        assert_eq!(without_flying(&rod, 7, &CleanOptions::default()), rod);
+        assert_eq!(without_flying(&rod, 7, &CleanOptions::default(), &Unlimited), rod);
         // A wall 77° from facing the camera.
         let steep: Vec<f32> = (0..49).map(|i| 0.70 + 0.0065 * (i % 7) as f32).collect();
-        assert_eq!(without_flying(&steep, 7, &CleanOptions::default()), steep);
+        assert_eq!(without_flying(&steep, 7, &CleanOptions::default(), &Unlimited), steep);
         // One 84° from it, but continuous: a line of like depth goes through each pixel.
         let steeper: Vec<f32> = (0..49).map(|i| 0.70 + 0.014 * (i % 7) as f32).collect();
-        let out = without_flying(&steeper, 7, &CleanOptions::default());
+        let out = without_flying(&steeper, 7, &CleanOptions::default(), &Unlimited);
         assert_eq!(out[7..42], steeper[7..42], "all but the first and the last row");
     }
 

@@ -7,6 +7,7 @@ use super::admission::Refused;
 use super::follow::Following;
 use super::tracker::{HandNow, Servo};
 use super::window::Memory;
+use crate::budget::Unlimited;
 use crate::frame::Frame;
 use crate::options::WorkspaceRequest;
 use crate::scene;
@@ -56,7 +57,7 @@ impl Servo {
             && !is_given
             && self.counters.answered.is_multiple_of(TABLE_EVERY)
         {
-            let points = frame_points(frame, depth);
+            let points = frame_points(frame, depth, &Unlimited);
             let size = memory.volume.grid.size_m;
             let seen = table_height(&points, &memory.world_from_volume, size);
             if let Some(seen) = seen.filter(|s| (s - table).abs() <= SAME_TABLE_M) {

@@ -15,7 +15,7 @@ use super::smooth::{change, standing_off};
 use super::stages::Stages;
 use super::standoff::{Progress, Standoff};
 use super::window::Memory;
-use crate::budget::Budget;
+use crate::budget::{Budget, Unlimited};
 use crate::estimator::ContactEstimator;
 use crate::frame::{CleanOptions, Frame, clean_depth};
 use crate::objective::Scratch;
@@ -147,7 +147,8 @@ impl Servo {
             Verdict { state: State::Tracking, jump_m: 0.0, is_settled: true }
         } else {
             self.mask(&mut frame, &world_from_camera, world_from_hand.as_ref(), hand.as_ref());
-            let depth = clean_depth(&frame.image, &CleanOptions::of_lens(&frame.intrinsics));
+            // To its end, whatever the budget says: what is remembered is seen through all of it.
+            let depth = clean_depth(&frame.image, &CleanOptions::of_lens(&frame.intrinsics), &Unlimited);
             stages.end("frame");
             self.remember(&frame, &depth, &world_from_camera)?;
             stages.end("fuse");

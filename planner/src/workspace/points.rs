@@ -2,6 +2,7 @@
 
 use nalgebra::{Isometry3, Point3};
 
+use crate::budget::Budget;
 use crate::frame::Frame;
 
 /// About so many pixels are looked at.
@@ -21,7 +22,9 @@ pub struct FramePoints {
 }
 
 /// Points of every k-th pixel in both directions of a cleaned depth image (0 is a hole).
-pub fn frame_points(frame: &Frame, depth: &[f32]) -> FramePoints {
+///
+/// The budget is looked at in every row. When it ends the other rows are left out: the caller looks at it next.
+pub fn frame_points(frame: &Frame, depth: &[f32], budget: &dyn Budget) -> FramePoints {
     let (width, height) = (frame.image.width, frame.image.height);
     let mut points = FramePoints {
         camera: Vec::new(),
@@ -34,6 +37,9 @@ pub fn frame_points(frame: &Frame, depth: &[f32]) -> FramePoints {
     }
     let step = (((width * height) as f64 / SAMPLES as f64).sqrt().floor() as usize).max(1);
     for row in (step / 2..height).step_by(step) {
+        if budget.stop().is_some() {
+            break;
+        }
         for column in (step / 2..width).step_by(step) {
             let z = f64::from(depth[row * width + column]);
             if z <= 0.0 {

@@ -183,8 +183,8 @@ impl Bench {
     /// Cleaning the bundled frame, finding its table and placing the volume on it.
     fn place(&self) -> Duration {
         time(|| {
-            let depth = clean_depth(&self.frame.image, &CleanOptions::default());
-            let points = frame_points(&self.frame, &depth);
+            let depth = clean_depth(&self.frame.image, &CleanOptions::default(), &Unlimited);
+            let points = frame_points(&self.frame, &depth, &Unlimited);
             Workspace::place(&WorkspaceRequest::Auto, self.framed.workspace.grid, &points)
         })
     }
