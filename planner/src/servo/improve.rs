@@ -88,6 +88,7 @@ impl Servo {
                 LEAST_MARGIN + (self.options.reconsider_margin - LEAST_MARGIN) * self.standoff.progress()
             }
         };
+        let has_stayed = (f.grasp.centroid - target).norm() <= SAME_MIDDLE_M;
         // What this one frame rejects may be noise: another grasp waits for more of that, and must be about as good.
         let may_replace = turn == Turn::Own || f.against >= self.options.patience;
         let is_better = match (&held, &proposed) {
@@ -112,6 +113,12 @@ impl Servo {
                 f.against += 1;
                 (None, None)
             }
+            Err(rejection) if is_doubtful(&rejection) && has_stayed => {
+                // What was planned is not given up because of the noise of a near view.
+                drop(objective);
+                self.centroids = centroids;
+                return Verdict { state: State::Tracking, jump_m: 0.0, is_settled: true };
+            }
             Err(rejection) => {
                 // The best of all rivals, before a search.
                 let mut best: Option<(usize, Grasp)> = None;
@@ -127,11 +134,6 @@ impl Servo {
                 let best = best.filter(|(_, grasp)| grasp.score >= f.trust - AS_GOOD);
                 if let Some((i, _)) = best {
                     f.rivals.promote(Turn::Other(i), &mut f.candidate);
-                } else if is_doubtful(&rejection) {
-                    // What was planned from afar is not given up for something worse because of the noise of a near view.
-                    drop(objective);
-                    self.centroids = centroids;
-                    return Verdict { state: State::Tracking, jump_m: 0.0, is_settled: true };
                 }
                 (best.map(|b| b.1), Some(Replan::Rejected(rejection.reason)))
             }
@@ -180,12 +182,13 @@ impl Servo {
     }
 }
 
-/// True for a rejection that may be noise: a shallow collision, or contacts that are seen a little otherwise.
+/// True for a rejection that may be noise: a shallow collision, contacts that are seen a little otherwise, or an edge of a
+/// keep-out box that the grasp was beside when it was taken.
 fn is_doubtful(rejection: &Rejection) -> bool {
     use RejectReason as R;
     match rejection.reason {
-        R::CollisionScene | R::CollisionTable | R::ApproachBlocked => rejection.by_m <= SHALLOW_M,
-        R::NoForceClosure | R::LowScore => true,
+        R::CollisionScene | R::CollisionTable | R::ApproachBlocked | R::KeepOut => rejection.by_m <= SHALLOW_M,
+        R::NoForceClosure | R::LowScore | R::NoContact | R::NotTarget => true,
         _ => false,
     }
 }
