@@ -187,8 +187,26 @@ impl Servo {
 fn is_doubtful(rejection: &Rejection) -> bool {
     use RejectReason as R;
     match rejection.reason {
-        R::CollisionScene | R::CollisionTable | R::ApproachBlocked | R::KeepOut => rejection.by_m <= SHALLOW_M,
+        R::CollisionScene | R::CollisionTable | R::ApproachBlocked | R::KeepOut => {
+            rejection.by_m <= SHALLOW_M
+        }
         R::NoForceClosure | R::LowScore | R::NoContact | R::NotTarget => true,
         _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_near_view_may_get_wrong_is_doubted_and_the_rest_is_not() {
+        let of = |reason, by_m| is_doubtful(&Rejection::new(reason, by_m));
+        for reason in [RejectReason::CollisionScene, RejectReason::ApproachBlocked, RejectReason::KeepOut] {
+            assert!(of(reason, 0.004), "{reason:?}");
+            assert!(!of(reason, 0.02), "{reason:?}: something new may be in the way");
+        }
+        assert!(of(RejectReason::NoContact, 0.0));
+        assert!(!of(RejectReason::CollisionSelf, 0.001), "no view changes that");
     }
 }

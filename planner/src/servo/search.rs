@@ -40,7 +40,7 @@ impl Servo {
         let view = View::of(frame, depth, &memory.world_from_volume);
         let scene =
             memory.read_whole(&view, world_from_camera, &self.options.scene, &*self.estimator, budget)?;
-        let options = PlanOptions { max_grasps: FIRST_KEPT, ..self.options.plan.clone() };
+        let options = PlanOptions { max_grasps: FIRST_KEPT, seed: self.seed(), ..self.options.plan.clone() };
         let (plan, best) = search(&scene, &self.hand, &options, (usize::MAX, FIRST_KEPT), budget, None);
         budget.check().map_err(SceneError::Stopped)?;
         let why = reason_of(&plan);
@@ -62,6 +62,11 @@ impl Servo {
             lost: None,
         });
         Ok(Verdict { state: State::Replanning(Replan::First), jump_m: 0.0, is_settled: true })
+    }
+
+    /// Another frame, other candidates: where one search was in vain the next may not be.
+    fn seed(&self) -> u64 {
+        self.options.plan.seed ^ self.counters.answered.wrapping_mul(0x9E37_79B9_7F4A_7C15)
     }
 
     /// Searches another grasp of the target, for as many frames as are given for that.
@@ -99,8 +104,7 @@ impl Servo {
             batch: SEARCH_BATCH,
             scheme: SEARCH,
             target,
-            // Another frame, other candidates.
-            seed: self.options.plan.seed ^ self.counters.answered.wrapping_mul(0x9E37_79B9_7F4A_7C15),
+            seed: self.seed(),
             ..self.options.plan.clone()
         };
         let (plan, best) =
