@@ -82,6 +82,21 @@ fn comes_nearer_smoothly_and_goes_in_at_the_object() {
 }
 
 #[test]
+fn where_nothing_moves_the_grasp_stays_where_it_was_planned() {
+    // Another side of an object comes to be seen on the way, and its middle seems to move.
+    for hand in ["robotiq-2f85", "robotiq-3f"] {
+        let mut rig = Rig::new(hand, few(), quick());
+        let answers = until_go(&mut rig, 120);
+        let at = |a: &Answer| a.grasp.as_ref().expect("a grasp").world_from_hand.translation.vector;
+        let anew =
+            answers.iter().rposition(|a| matches!(a.state, State::Replanning(_))).expect("the first plan");
+        let drift = (at(&answers[answers.len() - 1]) - at(&answers[anew])).norm();
+        assert!(drift <= 0.004, "{hand}: {drift} m since frame {anew}");
+        assert!(anew <= answers.len() / 2, "{hand}: planned anew in frame {anew} of {}", answers.len());
+    }
+}
+
+#[test]
 fn follows_a_nudged_object() {
     let mut rig = Rig::new("robotiq-3f", few(), quick());
     let first = rig.step().unwrap();

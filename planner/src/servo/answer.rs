@@ -29,6 +29,8 @@ pub enum Replan {
     Rejected(RejectReason),
     /// Another grasp of the target is clearly better.
     Better,
+    /// The grasp scores clearly less than when it was taken, and another one was found that scores more.
+    Worse,
     /// The best grasp has moved further than counts as the same.
     Jump,
     /// The camera stands somewhere else than it can have gone.
@@ -45,6 +47,7 @@ impl Replan {
             Self::TargetMoved => "target_moved",
             Self::Rejected(reason) => reason.as_str(),
             Self::Better => "better",
+            Self::Worse => "worse",
             Self::Jump => "jump",
             Self::CameraMoved => "camera_moved",
             Self::FoundAgain => "found_again",

@@ -42,6 +42,10 @@ pub(super) struct Following {
     pub(super) against: usize,
     /// Frames in a row for which the best grasp was another one.
     pub(super) other: usize,
+    /// Frames in a row in which it scored clearly less than when it was taken.
+    pub(super) fallen: usize,
+    /// Searches because of that.
+    pub(super) renewals: usize,
     /// Frames in a row that found its place empty.
     pub(super) empty: usize,
     /// Searches in vain.
@@ -123,9 +127,9 @@ impl Servo {
             f.searching = Some(Replan::CameraMoved);
         }
         match f.target.follow(scene) {
-            Sight::Here { moved } => {
+            Sight::Here { moved, is_real } => {
                 f.empty = 0;
-                if moved.norm() > CARRY_M && f.searching.is_none() && f.lost.is_none() {
+                if is_real && moved.norm() > CARRY_M && f.searching.is_none() && f.lost.is_none() {
                     let most = self.options.bounds.translation_m;
                     let by = moved * (most / moved.norm()).min(1.0);
                     f.translate(&(f.world_from_window.rotation.inverse() * by));

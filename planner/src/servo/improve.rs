@@ -22,11 +22,15 @@ use crate::scene::Scene;
 
 /// A grasp that would change by more than so many times the bounds is another grasp.
 const ANOTHER: f64 = 4.0;
-/// A rival is taken for so much more score where that costs little: it is near, or the approach has not begun.
-const LEAST_MARGIN: f64 = 0.03;
+/// The grasp's own continuation is taken for so much more score: less is noise, and noise adds up to drift.
+const OWN_MARGIN: f64 = 0.05;
 /// A grasp that the newest frames speak against gives way to one that scores at most so much less than it did when it was
 /// taken.
 const AS_GOOD: f64 = 0.1;
+/// So much less score than when a grasp was taken is a reason to look for another one.
+const FALLEN: f64 = 0.15;
+/// So many times, for one target.
+const RENEWALS: usize = 4;
 /// Collisions no deeper than this may be the noise of a near view, metres.
 const SHALLOW_M: f64 = 0.01;
 /// A rival that takes hold this far away holds another part of the target, or its neighbour, metres.
@@ -78,23 +82,20 @@ impl Servo {
         let proposed = judged(f.rivals.candidate(turn), scratch);
 
         let bounds = self.options.bounds;
-        let share_to = |grasp: &Grasp| {
-            allowed_share(&change(&f.grasp.world_from_hand, &grasp.world_from_hand, &pivot), &bounds)
-        };
-        let margin = |grasp: &Grasp| match turn {
-            Turn::Own => 0.0,
-            Turn::Other(_) if share_to(grasp) * ANOTHER >= 1.0 => LEAST_MARGIN,
-            Turn::Other(_) => {
-                LEAST_MARGIN + (self.options.reconsider_margin - LEAST_MARGIN) * self.standoff.progress()
-            }
+        let margin = match turn {
+            Turn::Own => OWN_MARGIN,
+            Turn::Other(_) => self.options.reconsider_margin,
         };
         let has_stayed = (f.grasp.centroid - target).norm() <= SAME_MIDDLE_M;
         // What this one frame rejects may be noise: another grasp waits for more of that, and must be about as good.
         let may_replace = turn == Turn::Own || f.against >= self.options.patience;
+        let is_doubt = matches!(&held, Err(rejection) if is_doubtful(rejection)) && has_stayed;
         let is_better = match (&held, &proposed) {
             (_, Err(_)) => false,
+            // What was planned is not given up because of the noise of a near view.
+            (Err(_), Ok(_)) if is_doubt => false,
             (Err(_), Ok(proposed)) => may_replace && proposed.score >= f.trust - AS_GOOD,
-            (Ok(held), Ok(proposed)) => proposed.score >= held.score + margin(proposed),
+            (Ok(held), Ok(proposed)) => proposed.score >= held.score + margin,
         };
         let is_taken = is_better && (held.is_err() || f.rivals.wins(turn));
         let found = if is_taken {
@@ -113,8 +114,7 @@ impl Servo {
                 f.against += 1;
                 (None, None)
             }
-            Err(rejection) if is_doubtful(&rejection) && has_stayed => {
-                // What was planned is not given up because of the noise of a near view.
+            Err(_) if is_doubt => {
                 drop(objective);
                 self.centroids = centroids;
                 return Verdict { state: State::Tracking, jump_m: 0.0, is_settled: true };
@@ -152,6 +152,14 @@ impl Servo {
         f.against = 0;
         if why.is_some() {
             f.trust = grasp.score;
+        }
+        let has_fallen = grasp.score < f.trust - FALLEN;
+        f.fallen = if has_fallen { f.fallen + 1 } else { 0 };
+        if f.fallen > self.options.patience && f.renewals < RENEWALS {
+            (f.fallen, f.renewals) = (0, f.renewals + 1);
+            if let Some(verdict) = self.renew(f, scene, grasp.score, budget) {
+                return verdict;
+            }
         }
         if why.is_some() && (grasp.centroid - target).norm() > SAME_MIDDLE_M {
             f.target = Target::at(grasp.centroid);

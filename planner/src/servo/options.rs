@@ -59,7 +59,7 @@ pub struct ServoOptions {
     /// Every so many frames another grasp of the target is refined and judged beside the one that is followed; in the
     /// frames between it is the grasp itself with more iterations. 0: never another one.
     pub reconsider_every: usize,
-    /// At the end of the approach another grasp must score this much more to be taken; less before.
+    /// Another grasp must score this much more to be taken.
     pub reconsider_margin: f64,
     /// Poses that ask for more are wild.
     pub camera: CameraBounds,

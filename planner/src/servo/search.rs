@@ -56,6 +56,8 @@ impl Servo {
             grasp,
             against: 0,
             other: 0,
+            fallen: 0,
+            renewals: 0,
             empty: 0,
             vain: 0,
             searching: None,
@@ -99,6 +101,32 @@ impl Servo {
         why: Replan,
         budget: &dyn Budget,
     ) -> Option<Verdict> {
+        let found = self.look_for(f, scene, radius_m, budget)?;
+        Some(self.take(f, found, why))
+    }
+
+    /// Searches grasps of a target that is tracked, whose grasp scores so little by now; takes the best where that is
+    /// clearly better.
+    pub(super) fn renew(
+        &mut self,
+        f: &mut Following,
+        scene: &Scene,
+        score: f64,
+        budget: &dyn Budget,
+    ) -> Option<Verdict> {
+        let found = self.look_for(f, scene, OF_TARGET_M, budget)?;
+        let is_better = found.0.score >= score + self.options.reconsider_margin;
+        is_better.then(|| self.take(f, found, Replan::Worse))
+    }
+
+    /// The best grasp about the target, its candidate and its rivals.
+    fn look_for(
+        &mut self,
+        f: &Following,
+        scene: &Scene,
+        radius_m: f64,
+        budget: &dyn Budget,
+    ) -> Option<(Grasp, Candidate, Rivals)> {
         let target = Some(PlanTarget::Point { point: f.target.position, radius_m });
         let options = PlanOptions {
             batch: SEARCH_BATCH,
@@ -109,18 +137,23 @@ impl Servo {
         };
         let (plan, best) =
             search(scene, &self.hand, &options, (SEARCH_JUDGED, rivals::MOST + 1), budget, None);
-        let (grasp, candidate, rivals) = chosen(plan, best)?;
+        chosen(plan, best)
+    }
+
+    /// Follows another grasp from now on.
+    fn take(&mut self, f: &mut Following, found: (Grasp, Candidate, Rivals), why: Replan) -> Verdict {
+        let (grasp, candidate, rivals) = found;
         let pivot = Vector3::from(self.hand_pivot());
         let apart = change(&f.grasp.world_from_hand, &grasp.world_from_hand, &pivot);
         (f.candidate, f.rivals) = (candidate, rivals);
         f.target = Target::at(grasp.centroid);
         f.trust = grasp.score;
         f.grasp = grasp;
-        (f.against, f.other, f.empty, f.vain) = (0, 0, 0, 0);
+        (f.against, f.other, f.empty, f.vain, f.fallen) = (0, 0, 0, 0, 0);
         (f.searching, f.lost) = (None, None);
         self.hidden = 0;
         let jump_m = apart.translation_m.max(self.options.bounds.translation_m);
-        Some(Verdict { state: State::Replanning(why), jump_m, is_settled: true })
+        Verdict { state: State::Replanning(why), jump_m, is_settled: true }
     }
 }
 

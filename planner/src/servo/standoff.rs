@@ -56,12 +56,6 @@ impl Standoff {
         Self { now_m: options.start_m, options, since: None, good_at_end: 0 }
     }
 
-    /// How much of the way has been made, 0 to 1.
-    pub(super) fn progress(&self) -> f64 {
-        let way = self.options.start_m - self.options.end_m;
-        if way > 0.0 { ((self.options.start_m - self.now_m) / way).clamp(0.0, 1.0) } else { 1.0 }
-    }
-
     /// The next stand-off, and whether to go straight in.
     pub(super) fn next(&mut self, captured: Duration, progress: &Progress) -> (f64, bool) {
         let o = &self.options;

@@ -13,6 +13,8 @@ const FAR_M: f64 = 0.12;
 const BODY_M: f64 = 0.022;
 /// With less than this share of its mass the target has left its place.
 const LEFT: f64 = 0.35;
+/// With less than this share of its mass where it was the target has moved.
+const STILL_THERE: f64 = 0.85;
 /// How fast mass and position follow what is seen.
 const FOLLOW: f64 = 0.4;
 
@@ -23,6 +25,8 @@ pub(super) enum Sight {
     Here {
         /// New position less old one, world frame.
         moved: nalgebra::Vector3<f64>,
+        /// Less of it is where it was: it has really moved. Otherwise only another side of it may have come to be seen.
+        is_real: bool,
     },
     /// It has left its place, and there is something within reach that it may be.
     Moved {
@@ -59,10 +63,11 @@ impl Target {
         let has_left = mass < LEFT * before;
         match nearest {
             Some((centroid, apart)) if apart <= SAME_M && !has_left => {
+                let is_real = mass < STILL_THERE * before;
                 self.mass = Some(before + FOLLOW * (mass - before));
                 let moved = world_from_volume * (centroid - at);
                 self.position += FOLLOW * moved;
-                Sight::Here { moved }
+                Sight::Here { moved, is_real }
             }
             Some((centroid, apart)) if has_left && apart <= FAR_M => {
                 Sight::Moved { to: world_from_volume * centroid }

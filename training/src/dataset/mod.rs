@@ -30,6 +30,7 @@ pub mod shard;
 // What is done with it.
 pub mod generate;
 pub mod oracle;
+pub(crate) mod panel;
 pub mod picture;
 pub mod stats;
 

@@ -51,9 +51,8 @@ impl ContactMetrics {
     /// # Errors
     /// [`RunError::Size`] when the view has another resolution than the network.
     pub fn add(&mut self, network: &Network, view: &Sample) -> Result<(), RunError> {
-        let kind = network.info().volume;
-        let answer = network.run(&input(view, kind))?;
-        self.add_answer(&answer, kind, view);
+        let answer = answer(network, view)?;
+        self.add_answer(&answer, network.info().volume, view);
         Ok(())
     }
 
@@ -111,6 +110,14 @@ impl ContactMetrics {
             e_pe_labelled: over(self.labelled[1], self.centroids),
         }
     }
+}
+
+/// What a network says of a view.
+///
+/// # Errors
+/// [`RunError::Size`] when the view has another resolution than the network.
+pub fn answer(network: &Network, view: &Sample) -> Result<Output, RunError> {
+    network.run(&input(view, network.info().volume))
 }
 
 /// The volume that a network of that kind reads.

@@ -27,6 +27,7 @@ pub mod ap;
 pub mod servo;
 
 // How well networks find contacts.
+pub mod contact_picture;
 pub mod contacts;
 
 // Numbers and how they are shown.

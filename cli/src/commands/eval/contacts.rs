@@ -1,5 +1,7 @@
 //! `graspd eval contacts`: how well networks find the labelled contacts of views, as Supplementary Note 2 measures it.
 
+mod picture;
+
 use std::fs::File;
 use std::io::{BufReader, Write as _};
 use std::path::{Path, PathBuf};
@@ -10,7 +12,8 @@ use anyhow::Context as _;
 use clap::Args;
 use graspd_inference::Network;
 use graspd_training::dataset::read::Shard;
-use graspd_training::evaluate::contacts::{ContactMetrics, ContactReport, ContactRow};
+use graspd_training::evaluate::contact_picture::{found, labelled};
+use graspd_training::evaluate::contacts::{ContactMetrics, ContactReport, ContactRow, answer};
 use indicatif::ProgressBar;
 
 use crate::commands::plan::write_file;
@@ -32,6 +35,12 @@ pub(crate) struct ContactsArgs {
     /// Views at the same time; as many as there are cores if left out
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1024))]
     jobs: Option<u32>,
+    /// Draw some views, as labelled and as each network finds them: an SVG file
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+    /// How many views are drawn, spread evenly
+    #[arg(long, value_name = "N", default_value_t = 4, requires = "picture", value_parser = clap::value_parser!(u32).range(1..=32))]
+    pictured: u32,
     /// Write everything
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -75,6 +84,10 @@ pub(crate) fn run(args: &ContactsArgs) -> anyhow::Result<()> {
         rows.push(ContactRow::new(name, network, sums.scores()));
     }
     bar.finish_and_clear();
+    if let Some(path) = &args.picture {
+        let columns = columns(&networks, &rows, &shards, &views, args.pictured as usize)?;
+        write_file(path, picture::svg(&columns)?.as_bytes())?;
+    }
     let mut conditions =
         vec![format!("graspd {}, `graspd eval contacts`, {wanted} views", env!("CARGO_PKG_VERSION"))];
     conditions.append(&mut told);
@@ -123,6 +136,36 @@ fn shards(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
 fn open(path: &Path) -> anyhow::Result<Shard<BufReader<File>>> {
     let file = File::open(path).with_context(|| path.display().to_string())?;
     Shard::open(BufReader::new(file)).with_context(|| path.display().to_string())
+}
+
+/// The columns of the picture: labels, and every network's answers.
+fn columns(
+    networks: &[(String, Network)],
+    rows: &[ContactRow],
+    shards: &[PathBuf],
+    views: &[(usize, usize)],
+    wanted: usize,
+) -> anyhow::Result<Vec<picture::Column>> {
+    let count = wanted.min(views.len());
+    let mut drawn = Vec::new();
+    for i in 0..count {
+        // From the middle of each part: the first view of a folder is no better than others.
+        let (shard, record) = views[(2 * i + 1) * views.len() / (2 * count)];
+        let path = &shards[shard];
+        drawn.push(open(path)?.read(record).with_context(|| format!("{}, view {record}", path.display()))?);
+    }
+    let mut columns = vec![picture::Column {
+        title: "labels".to_owned(),
+        what: "contacts, centroids".to_owned(),
+        figures: "(E_Pc, E_Pe, E_Angle)".to_owned(),
+        cells: drawn.iter().map(labelled).collect(),
+    }];
+    for ((name, network), row) in networks.iter().zip(rows) {
+        let cell = |view| answer(network, view).map(|answer| found(view, &answer));
+        let cells = drawn.iter().map(cell).collect::<Result<_, _>>();
+        columns.push(picture::Column::of(row, cells.with_context(|| format!("network {name}"))?));
+    }
+    Ok(columns)
 }
 
 /// Sums over views, which workers share out among themselves.
