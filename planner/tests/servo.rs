@@ -304,3 +304,34 @@ fn options_that_make_no_sense_are_named() {
     assert!(broken.validate().is_err());
     assert_eq!(ServoOptions::of_first_frame().validate(), Ok(()));
 }
+
+#[test]
+fn a_grasp_that_has_become_worse_gives_way_to_one_that_scores_more() {
+    // The target becomes thinner and slips while the hand comes: what was planned holds less of it.
+    let mut announced = 0;
+    for (thinner_m, slip_m) in
+        [(0.004, 0.0), (0.004, 0.004), (0.004, -0.004), (0.003, 0.0), (0.005, 0.006), (0.006, -0.003)]
+    {
+        let margin = 0.02;
+        let options = ServoOptions { reconsider_every: 0, reconsider_margin: margin, ..quick() };
+        let mut rig = Rig::new("brunel", few(), options);
+        let mut scores = Vec::new();
+        for frame in 0..60 {
+            let answer = rig.step().unwrap();
+            if frame == 8 {
+                let target = target_of(&rig, &answer);
+                rig.objects[target].1 -= thinner_m;
+                rig.objects[target].0[1] += slip_m;
+            }
+            let score = answer.grasp.as_ref().map_or(0.0, |grasp| grasp.score);
+            if answer.state == State::Replanning(Replan::Worse) {
+                announced += 1;
+                let before = scores.last().copied().unwrap_or(0.0);
+                assert!(score > before, "{score} in place of {before}");
+                assert!(before <= scores[0] - 0.1, "{before} is hardly less than {}", scores[0]);
+            }
+            scores.push(score);
+        }
+    }
+    assert!(announced > 0, "no grasp fell, or nothing better was found");
+}

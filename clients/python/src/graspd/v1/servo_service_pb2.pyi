@@ -314,7 +314,7 @@ class ServoGraspResponse(_message.Message):
     state: Global___ServoState.ValueType
     """What the robot should do."""
     reason: _builtins.str
-    """Why it is replanning or lost: "first", "target_moved", "better", "jump", "camera_moved", "found_again",
+    """Why it is replanning or lost: "first", "target_moved", "better", "worse", "jump", "camera_moved", "found_again",
     "target_gone", "hidden", or the reason of a rejection or of an empty plan as in PlanStats and NoGrasp. Empty while
     tracking.
     """
