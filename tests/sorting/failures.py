@@ -106,7 +106,7 @@ def cell(graspd, config, scene, extra=(), at_pick=None, limit_s=400):
     """One run; `at_pick` is called when the third pick begins. Gives the account and the cell's words."""
     command = [graspd, "cell", "run", str(config), "--scene-seed", str(scene), "--objects", str(OBJECTS), "--json", *extra]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    words, picks = [], 0
+    words, picks, failing = [], 0, []
 
     def listen():
         nonlocal picks
@@ -115,7 +115,8 @@ def cell(graspd, config, scene, extra=(), at_pick=None, limit_s=400):
             if re.search(r" takes object ", line):
                 picks += 1
                 if picks == 3 and at_pick:
-                    threading.Thread(target=at_pick, daemon=True).start()
+                    failing.append(threading.Thread(target=at_pick, daemon=True))
+                    failing[0].start()
 
     listener = threading.Thread(target=listen, daemon=True)
     listener.start()
@@ -125,6 +126,9 @@ def cell(graspd, config, scene, extra=(), at_pick=None, limit_s=400):
     process.wait()
     timer.cancel()
     listener.join(5)
+    # What was ended has begun again before the caller tidies up.
+    for thread in failing:
+        thread.join(90)
     try:
         report = json.loads(out)["report"]
     except (ValueError, KeyError):
@@ -146,6 +150,20 @@ def cell(graspd, config, scene, extra=(), at_pick=None, limit_s=400):
     }
 
 
+def with_server(graspd, server, port, scene, end, begin):
+    """One run that plans over a port, behind which something ends for three seconds."""
+
+    def fail():
+        end()
+        time.sleep(3)
+        begin()
+
+    try:
+        return cell(graspd, EXAMPLES / "sort.toml", scene, ["--server", f"http://127.0.0.1:{port}"], fail)
+    finally:
+        server.kill()
+
+
 def changed(folder, example, text):
     """An example with something added."""
     path = Path(folder) / example
@@ -159,37 +177,17 @@ def main():
     emulated = range(1, 1 + int(sys.argv[4] if len(sys.argv) > 4 else 3))
     results = {}
     with tempfile.TemporaryDirectory() as folder:
-        sort = EXAMPLES / "sort.toml"
-
         def undisturbed(scene):
-            return cell(graspd, sort, scene)
+            return cell(graspd, EXAMPLES / "sort.toml", scene)
 
         def planner(scene):
             server = Server(graspd)
-
-            def kill():
-                server.kill()
-                time.sleep(3)
-                server.start()
-
-            try:
-                return cell(graspd, sort, scene, ["--server", f"http://127.0.0.1:{server.port}"], kill)
-            finally:
-                server.kill()
+            return with_server(graspd, server, server.port, scene, server.kill, server.start)
 
         def network(scene):
             server = Server(graspd)
             cable = Cable(server.port)
-
-            def cut():
-                cable.cut()
-                time.sleep(3)
-                cable.heal()
-
-            try:
-                return cell(graspd, sort, scene, ["--server", f"http://127.0.0.1:{cable.port}"], cut)
-            finally:
-                server.kill()
+            return with_server(graspd, server, cable.port, scene, cable.cut, cable.heal)
 
         def adapter(scene):
             config = changed(folder, "sort.toml", "[simulation.arms.back.faults.arm]\nrefused = { calls = 60 }")

@@ -29,7 +29,7 @@ const OWN_MARGIN: f64 = 0.05;
 const AS_GOOD: f64 = 0.1;
 /// So much less score than when a grasp was taken is a reason to look for another one.
 const FALLEN: f64 = 0.15;
-/// So many times, for one target.
+/// So many times in all of an approach.
 const RENEWALS: usize = 4;
 /// Collisions no deeper than this may be the noise of a near view, metres.
 const SHALLOW_M: f64 = 0.01;

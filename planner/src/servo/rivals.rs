@@ -4,7 +4,7 @@
 //! What is lowered by iterations is the objective; what foretells success is the judge's score, and a plan's best grasp
 //! was the best of many by that. A candidate that only goes on down the objective loses what it was chosen for. So the
 //! grasp stays the candidate that it is, and one rival a frame goes on and is judged beside it, in the same features: the
-//! grasp changes where the rival scores more.
+//! grasp changes where the rival scores clearly more.
 
 use nalgebra::Vector3;
 

@@ -33,6 +33,7 @@ pub mod contacts;
 // Numbers and how they are shown.
 pub mod picture;
 pub mod statistics;
+pub mod svg;
 mod table;
 
 pub use attempt::{Attempt, Class, Figures, Nothing, command};

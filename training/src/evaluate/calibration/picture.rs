@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use super::reliability::Reliability;
+use crate::evaluate::svg::escaped;
 
 /// Side of the square that the curve is drawn in, pixels.
 const SIDE: f64 = 360.0;
@@ -79,10 +80,6 @@ pub fn svg(curves: &[(&str, &Reliability)]) -> String {
         );
     }
     out + "</svg>\n"
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

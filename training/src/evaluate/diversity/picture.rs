@@ -8,6 +8,7 @@ use nalgebra::{Unit, Vector3};
 
 use super::pattern::{Pattern, Touch, outline};
 use super::run::HandPatterns;
+use crate::evaluate::svg::escaped;
 
 /// Side of a panel, pixels.
 const SIDE: f64 = 230.0;
@@ -205,10 +206,6 @@ fn legend(out: &mut String, row: usize, hand: &Hand) {
             escaped(&finger.name)
         );
     }
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 use base64::Engine as _;
 use graspd_sim::render::RgbImage;
 use graspd_training::evaluate::contacts::ContactRow;
+use graspd_training::evaluate::svg::escaped;
 
 use crate::commands::eval::png;
 
@@ -67,10 +68,6 @@ pub(super) fn svg(columns: &[Column]) -> anyhow::Result<String> {
         }
     }
     Ok(out + "</svg>\n")
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]
